@@ -1,0 +1,1 @@
+//! Images as files: EXR and a PNG preview, as bytes.

@@ -1,0 +1,1 @@
+//! Errors between images: relative MSE, RMSE, bias.

@@ -1,0 +1,8 @@
+//! Images in the making: tiles, the film they are assembled on, and how to compare images.
+
+pub mod channels;
+pub mod compare;
+pub mod tile;
+
+pub use channels::ChannelSet;
+pub use tile::{Film, Tile, TileGrid, TileRect};

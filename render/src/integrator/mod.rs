@@ -1,0 +1,1 @@
+//! Integrators: estimators of the light that reaches the camera.

@@ -1,0 +1,1 @@
+//! Lights: emission and sampling.

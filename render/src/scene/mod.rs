@@ -1,0 +1,3 @@
+//! Scenes: description, building, the scene space, cameras and plans.
+
+pub mod description;

@@ -1,0 +1,234 @@
+//! What determines an image: everything here, together with the scene's digest, and nothing else.
+
+use crate::error::SettingsError;
+
+/// Largest number of pixels along one side.
+pub const MAX_IMAGE_SIDE: u32 = 65_536;
+/// Largest number of pixels of an image.
+pub const MAX_IMAGE_PIXELS: u64 = 1 << 30;
+/// Largest number of emitted photon paths of one map.
+pub const MAX_PHOTONS: u64 = 1 << 40;
+/// Largest number of samples per pixel.
+pub const MAX_SAMPLES: u32 = 1 << 24;
+/// Largest number of neighbours in one density estimate.
+pub const MAX_K: u32 = 100_000;
+/// Largest number of final-gather rays per camera sample.
+pub const MAX_FINAL_GATHER: u32 = 65_536;
+/// Side of a square tile in pixels; edge tiles are cropped.
+pub const TILE_SIZE: u32 = 16;
+
+/// The way light transport is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// Photon mapping: emission, merge, gather (Jensen 1996, 2001).
+    Photon,
+    /// Path tracing with next-event estimation and MIS (Kajiya 1986; Veach 1997).
+    Path,
+}
+
+impl Method {
+    /// All methods, in the order help texts name them.
+    pub const ALL: [Method; 2] = [Method::Photon, Method::Path];
+    /// Name on the command line and in headers.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Method::Photon => "photon",
+            Method::Path => "path",
+        }
+    }
+}
+
+/// Search structure over the photons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Estimator {
+    /// k nearest neighbours in a k-d tree.
+    #[default]
+    KdTree,
+    /// Fixed radius in a spatial hash grid.
+    Hash,
+}
+
+/// Weight of a photon by its distance on the tangent disc.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Kernel {
+    /// Equal weights.
+    #[default]
+    Constant,
+    /// Linear fall to 0 at the rim.
+    Cone,
+    /// 1 − r²/R².
+    Epanechnikov,
+}
+
+/// Extra image layers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Layer {
+    /// Radiance of direct light (emission seen included).
+    Direct,
+    /// Radiance of indirect diffuse light.
+    Indirect,
+    /// Radiance of caustics.
+    Caustic,
+    /// Base reflectance of the first hit.
+    Albedo,
+    /// Shading normal of the first hit, world space.
+    Normal,
+    /// Distance from the camera along its axis, in world units.
+    Depth,
+    /// World position of the first hit.
+    Position,
+    /// Variance of the samples of each channel.
+    Variance,
+    /// Samples taken.
+    Samples,
+}
+
+impl Layer {
+    /// All layers in file order.
+    pub const ALL: [Layer; 9] = [
+        Layer::Direct,
+        Layer::Indirect,
+        Layer::Caustic,
+        Layer::Albedo,
+        Layer::Normal,
+        Layer::Depth,
+        Layer::Position,
+        Layer::Variance,
+        Layer::Samples,
+    ];
+    /// Name on the command line and in EXR channel names.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Layer::Direct => "direct",
+            Layer::Indirect => "indirect",
+            Layer::Caustic => "caustic",
+            Layer::Albedo => "albedo",
+            Layer::Normal => "normal",
+            Layer::Depth => "depth",
+            Layer::Position => "position",
+            Layer::Variance => "variance",
+            Layer::Samples => "samples",
+        }
+    }
+    /// EXR channel suffixes: `R G B`, `X Y Z`, or `V` for one value (the EXR is `layer.suffix`).
+    pub const fn channels(self) -> &'static [&'static str] {
+        match self {
+            Layer::Direct | Layer::Indirect | Layer::Caustic | Layer::Albedo | Layer::Variance => &["R", "G", "B"],
+            Layer::Normal | Layer::Position => &["X", "Y", "Z"],
+            Layer::Depth => &["Z"],
+            Layer::Samples => &["V"],
+        }
+    }
+}
+
+/// Camera choice.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Default)]
+pub enum CameraChoice {
+    /// The first camera, or a default one that frames the scene.
+    #[default]
+    First,
+    /// By index in file order.
+    Index(u32),
+    /// By name.
+    Name(String),
+}
+
+/// Everything that determines the image besides the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Method.
+    pub method: Method,
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+    /// Camera.
+    pub camera: CameraChoice,
+    /// Camera samples per pixel, ≥ 1.
+    pub samples: u32,
+    /// Seed.
+    pub seed: u64,
+    /// Longest path in edges between camera and light; `None`: unlimited (roulette ends paths).
+    pub max_depth: Option<u32>,
+    /// Emitted paths of the global map.
+    pub photons: u64,
+    /// Emitted paths of the caustic map.
+    pub caustic_photons: u64,
+    /// Neighbours of a density estimate.
+    pub k: u32,
+    /// Largest gather radius in world units; `None`: from the map's density.
+    pub max_radius: Option<f32>,
+    /// Final-gather rays per camera sample; 0: the global map is looked at directly.
+    pub final_gather: u32,
+    /// Search structure.
+    pub estimator: Estimator,
+    /// Kernel of the density estimate.
+    pub kernel: Kernel,
+    /// Extra layers, sorted, without duplicates.
+    pub layers: Vec<Layer>,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        RenderSettings {
+            method: Method::Photon,
+            width: 512,
+            height: 512,
+            camera: CameraChoice::First,
+            samples: 32,
+            seed: 0,
+            max_depth: None,
+            photons: 500_000,
+            caustic_photons: 1_000_000,
+            k: 60,
+            max_radius: None,
+            final_gather: 4,
+            estimator: Estimator::KdTree,
+            kernel: Kernel::Constant,
+            layers: Vec::new(),
+        }
+    }
+}
+
+impl RenderSettings {
+    /// Checks every setting against its valid range.
+    ///
+    /// # Errors
+    /// Names the first setting that makes no sense, and what is valid.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        let bad = |setting, message: String| Err(SettingsError { setting, message });
+        for (setting, v) in [("width", self.width), ("height", self.height)] {
+            if v == 0 || v > MAX_IMAGE_SIDE {
+                return bad(setting, format!("{v} is outside 1 … {MAX_IMAGE_SIDE} pixels"));
+            }
+        }
+        if u64::from(self.width) * u64::from(self.height) > MAX_IMAGE_PIXELS {
+            return bad("width", format!("{} × {} exceeds {MAX_IMAGE_PIXELS} pixels", self.width, self.height));
+        }
+        if self.samples == 0 || self.samples > MAX_SAMPLES {
+            return bad("samples", format!("{} is outside 1 … {MAX_SAMPLES}", self.samples));
+        }
+        if self.photons > MAX_PHOTONS {
+            return bad("photons", format!("{} is more than {MAX_PHOTONS}", self.photons));
+        }
+        if self.caustic_photons > MAX_PHOTONS {
+            return bad("caustic-photons", format!("{} is more than {MAX_PHOTONS}", self.caustic_photons));
+        }
+        if self.k < 2 || self.k > MAX_K {
+            return bad("k", format!("{} is outside 2 … {MAX_K}", self.k));
+        }
+        if self.final_gather > MAX_FINAL_GATHER {
+            return bad("final-gather", format!("{} is more than {MAX_FINAL_GATHER}", self.final_gather));
+        }
+        if self.max_radius.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
+            return bad("max-radius", "must be a finite length above 0, in the scene's units".into());
+        }
+        if self.max_depth == Some(0) {
+            return bad("max-depth", "must be at least 1 (1 shows only emission seen directly)".into());
+        }
+        if self.layers.windows(2).any(|w| w[0] >= w[1]) {
+            return bad("layers", "each layer may be named once".into());
+        }
+        Ok(())
+    }
+}
