@@ -1,1 +1,19 @@
-//! placeholder
+//! The Gatherlight coordinator: plans, schedules, merges, broadcasts and assembles; and the client that speaks to it.
+//!
+//! Three ways in:
+//! - [`embedded::render`]: a whole job on this machine; coordinator and workers in this process over in-memory streams;
+//! - [`server::serve`]: a coordinator for a cluster;
+//! - [`client::connect`]: submit, list, watch, fetch, cancel on a coordinator elsewhere.
+//!
+//! What they report is in [`types`].
+
+pub mod client;
+pub mod embedded;
+pub mod server;
+pub mod types;
+
+pub use server::{ServeConfig, serve};
+pub use types::{JobId, JobProgress, JobResult, JobState, JobStats, MapStats, WorkerInfo};
+
+/// Port a coordinator listens on unless told otherwise.
+pub const DEFAULT_PORT: u16 = 7420;
