@@ -8,6 +8,7 @@
 //! radius in [1, 2), an exact power of two from metres; see [`scene::normalise`]); `wo` and `wi` are unit vectors that
 //! both point away from the surface; a BSDF value never contains the cosine. See ARCHITECTURE.md for the glossary.
 #![deny(unsafe_code)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods, clippy::disallowed_types))]
 
 pub mod error;
 pub mod export;
