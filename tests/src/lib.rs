@@ -1,1 +1,19 @@
-//! placeholder
+//! Helpers that tests share.
+
+use gatherlight_render::export::decode;
+use sha2::{Digest, Sha256};
+
+/// SHA-256 over the bits of every pixel of an EXR file, channel by channel in file order: equal for equal images,
+/// whatever the attributes say.
+///
+/// # Panics
+/// When the file cannot be decoded.
+pub fn pixel_sha256(exr: &[u8]) -> String {
+    let image = decode(exr).expect("an EXR file");
+    let mut hash = Sha256::new();
+    for (name, values) in &image.channels {
+        hash.update(name.as_bytes());
+        values.iter().for_each(|v| hash.update(v.to_bits().to_le_bytes()));
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}

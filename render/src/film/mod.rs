@@ -2,7 +2,9 @@
 
 pub mod channels;
 pub mod compare;
+pub mod image;
 pub mod tile;
 
 pub use channels::ChannelSet;
+pub use image::Image;
 pub use tile::{Film, Tile, TileGrid, TileRect};
