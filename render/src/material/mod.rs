@@ -12,6 +12,21 @@
 //!   ([`Bsdf::importance_correction`]).
 //! - radiance is scaled by η² at refraction in `Radiance` mode and not in `Importance` mode.
 
+pub mod albedo;
+pub mod bsdf;
+pub mod compiled;
+pub mod fresnel;
+pub mod glass;
+pub mod layered;
+pub mod lobes;
+pub mod microfacet;
+pub mod texture;
+
+pub use bsdf::{Bsdf, BsdfSample};
+pub use compiled::Material;
+pub use lobes::Lobes;
+pub use texture::Textures;
+
 /// Which quantity travels along the sampled path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TransportMode {
