@@ -1,1 +1,27 @@
-//! placeholder
+//! The wire of the Gatherlight cluster.
+//!
+//! - [`wire`]: messages and services generated from `proto/gatherlight.proto`;
+//! - [`convert`]: the only place that turns wire into domain (`TryFrom`) and back (`From`);
+//! - [`payload`]: photon batches, maps and tiles as bytes;
+//! - [`chunk`]: bytes as a stream of bounded chunks, checked on arrival;
+//! - [`limits`]: what a peer may send at most.
+#![deny(unsafe_code)]
+
+pub mod chunk;
+pub mod convert;
+pub mod digest;
+pub mod error;
+pub mod limits;
+pub mod message;
+pub mod payload;
+pub mod types;
+pub mod version;
+
+pub use digest::Digest;
+pub use error::WireError;
+
+/// Generated code.
+#[allow(missing_docs, unreachable_pub, unused_qualifications, clippy::all)]
+pub mod wire {
+    tonic::include_proto!("gatherlight.v1");
+}

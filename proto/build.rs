@@ -1,0 +1,8 @@
+//! Compiles the protobuf files, without a system `protoc`.
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("cargo:rerun-if-changed=proto/gatherlight.proto");
+    let files = protox::compile(["proto/gatherlight.proto"], ["proto"])?;
+    tonic_prost_build::configure().bytes(".").compile_fds(files)?;
+    Ok(())
+}

@@ -1,0 +1,184 @@
+//! What clients see of jobs and workers.
+
+use super::{map_kind, required};
+use crate::digest::Digest;
+use crate::error::{WireError, truncated};
+use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES};
+use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats, WorkerInfo};
+use crate::wire;
+use gatherlight_render::photon::MapKind;
+use std::time::Duration;
+
+fn millis(d: Duration) -> u64 {
+    u64::try_from(d.as_millis()).unwrap_or(u64::MAX)
+}
+
+fn cut(text: &str, limit: usize) -> String {
+    truncated(text, limit).to_owned()
+}
+
+/// State, map and error as the wire has them.
+fn state_fields(state: &JobState) -> (wire::JobState, wire::MapKind, String) {
+    use wire::JobState as W;
+    let none = wire::MapKind::Unspecified;
+    match state {
+        JobState::Waiting => (W::Waiting, none, String::new()),
+        JobState::Emission(map) => (W::Emission, (*map).into(), String::new()),
+        JobState::Merge(map) => (W::Merge, (*map).into(), String::new()),
+        JobState::Broadcast => (W::Broadcast, none, String::new()),
+        JobState::Gather => (W::Gather, none, String::new()),
+        JobState::Assemble => (W::Assemble, none, String::new()),
+        JobState::Done => (W::Done, none, String::new()),
+        JobState::Failed(error) => (W::Failed, none, cut(error, MAX_ERROR_BYTES)),
+        JobState::Cancelled => (W::Cancelled, none, String::new()),
+    }
+}
+
+fn state(job: &wire::Job) -> Result<JobState, WireError> {
+    use wire::JobState as W;
+    Ok(match W::try_from(job.state) {
+        Ok(W::Waiting) => JobState::Waiting,
+        Ok(W::Emission) => JobState::Emission(map_kind(job.map)?),
+        Ok(W::Merge) => JobState::Merge(map_kind(job.map)?),
+        Ok(W::Broadcast) => JobState::Broadcast,
+        Ok(W::Gather) => JobState::Gather,
+        Ok(W::Assemble) => JobState::Assemble,
+        Ok(W::Done) => JobState::Done,
+        Ok(W::Failed) => JobState::Failed(cut(&job.error, MAX_ERROR_BYTES)),
+        Ok(W::Cancelled) => JobState::Cancelled,
+        Ok(W::Unspecified) | Err(_) => {
+            return Err(WireError::invalid("job.state", format!("{} is unknown here", job.state)));
+        }
+    })
+}
+
+impl From<&JobProgress> for wire::Job {
+    fn from(p: &JobProgress) -> Self {
+        let (state, map, error) = state_fields(&p.state);
+        wire::Job {
+            job: p.id.0,
+            name: cut(&p.name, MAX_NAME_BYTES),
+            state: state.into(),
+            map: map.into(),
+            error,
+            done: p.done,
+            total: p.total,
+            rate_per_second: p.rate,
+            state_elapsed_ms: millis(p.state_elapsed),
+            elapsed_ms: millis(p.elapsed),
+            workers: p.workers,
+            stats: Some((&p.stats).into()),
+            result_digest: p.result_digest.map(Digest::to_bytes).unwrap_or_default(),
+        }
+    }
+}
+
+impl TryFrom<wire::Job> for JobProgress {
+    type Error = WireError;
+    fn try_from(j: wire::Job) -> Result<Self, WireError> {
+        let state = state(&j)?;
+        if !j.rate_per_second.is_finite() || j.rate_per_second < 0.0 {
+            return Err(WireError::invalid("job.rate_per_second", "is no rate"));
+        }
+        let result_digest = match &j.result_digest[..] {
+            [] => None,
+            bytes => Some(Digest::try_from(bytes)?),
+        };
+        Ok(JobProgress {
+            id: JobId(j.job),
+            name: cut(&j.name, MAX_NAME_BYTES),
+            state,
+            done: j.done,
+            total: j.total,
+            rate: j.rate_per_second,
+            state_elapsed: Duration::from_millis(j.state_elapsed_ms),
+            elapsed: Duration::from_millis(j.elapsed_ms),
+            workers: j.workers,
+            stats: required("job.stats", j.stats)?.try_into()?,
+            result_digest,
+        })
+    }
+}
+
+impl From<&JobStats> for wire::JobStats {
+    fn from(s: &JobStats) -> Self {
+        let map = |m: &MapStats| wire::MapStats {
+            map: wire::MapKind::from(m.kind).into(),
+            emitted_count: m.emitted_count,
+            emitted_total: m.emitted_total,
+            stored_count: m.stored_count,
+            bytes: m.bytes,
+        };
+        wire::JobStats {
+            maps: s.maps.iter().map(map).collect(),
+            rays: s.rays,
+            non_finite: s.non_finite,
+            gather_radius: s.gather_radius,
+            k: s.k,
+            busy_ms: millis(s.busy),
+            retried_leases: s.retried_leases,
+            result_bytes: s.result_bytes,
+            broadcast_bytes: s.broadcast_bytes,
+        }
+    }
+}
+
+impl TryFrom<wire::JobStats> for JobStats {
+    type Error = WireError;
+    fn try_from(s: wire::JobStats) -> Result<Self, WireError> {
+        let limit = MapKind::ALL.len() as u64;
+        WireError::check_limit("maps of a job", s.maps.len() as u64, limit, "number of map kinds")?;
+        let map = |m: wire::MapStats| {
+            Ok::<_, WireError>(MapStats {
+                kind: map_kind(m.map)?,
+                emitted_count: m.emitted_count,
+                emitted_total: m.emitted_total,
+                stored_count: m.stored_count,
+                bytes: m.bytes,
+            })
+        };
+        Ok(JobStats {
+            maps: s.maps.into_iter().map(map).collect::<Result<_, _>>()?,
+            rays: s.rays,
+            non_finite: s.non_finite,
+            gather_radius: s.gather_radius,
+            k: s.k,
+            busy: Duration::from_millis(s.busy_ms),
+            retried_leases: s.retried_leases,
+            result_bytes: s.result_bytes,
+            broadcast_bytes: s.broadcast_bytes,
+        })
+    }
+}
+
+impl From<&WorkerInfo> for wire::Worker {
+    fn from(w: &WorkerInfo) -> Self {
+        wire::Worker {
+            worker: w.id,
+            name: cut(&w.name, MAX_NAME_BYTES),
+            threads: w.threads,
+            memory_bytes: w.memory_bytes,
+            state: w.state.clone(),
+            leases: w.leases,
+            completed: w.completed,
+            last_heard_ms: millis(w.last_heard),
+            joined_ms: millis(w.joined),
+        }
+    }
+}
+
+impl From<wire::Worker> for WorkerInfo {
+    fn from(w: wire::Worker) -> Self {
+        WorkerInfo {
+            id: w.worker,
+            name: cut(&w.name, MAX_NAME_BYTES),
+            threads: w.threads,
+            memory_bytes: w.memory_bytes,
+            state: cut(&w.state, MAX_NAME_BYTES),
+            leases: w.leases,
+            completed: w.completed,
+            last_heard: Duration::from_millis(w.last_heard_ms),
+            joined: Duration::from_millis(w.joined_ms),
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! Messages between coordinator and workers.
+
+use super::{map_kind, name, required};
+use crate::digest::Digest;
+use crate::error::{WireError, truncated};
+use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_THREADS};
+use crate::message::{DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, Task, ToWorker, WorkerId};
+use crate::types::JobId;
+use crate::wire;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::time::Duration;
+
+fn range(first: u64, end: u64) -> Result<EmissionRange, WireError> {
+    EmissionRange::new(first, end).ok_or_else(|| WireError::invalid("end", format!("{end} is before {first}")))
+}
+
+impl From<FromWorker> for wire::WorkerMessage {
+    fn from(m: FromWorker) -> Self {
+        use wire::worker_message::Kind;
+        let kind = match m {
+            FromWorker::Hello(h) => {
+                Kind::Hello(wire::Hello { name: h.name, threads: h.threads, memory_bytes: h.memory_bytes })
+            }
+            FromWorker::Heartbeat => Kind::Heartbeat(wire::Heartbeat {}),
+            FromWorker::TaskFailed { lease, attempt, error } => {
+                let error = truncated(&error, MAX_ERROR_BYTES).to_owned();
+                Kind::TaskFailed(wire::TaskFailed { lease: lease.0, attempt, error })
+            }
+            FromWorker::TaskReturned { lease, attempt } => {
+                Kind::TaskReturned(wire::TaskReturned { lease: lease.0, attempt })
+            }
+            FromWorker::Draining => Kind::Draining(wire::Draining {}),
+        };
+        wire::WorkerMessage { kind: Some(kind) }
+    }
+}
+
+impl TryFrom<wire::WorkerMessage> for FromWorker {
+    type Error = WireError;
+    fn try_from(m: wire::WorkerMessage) -> Result<Self, WireError> {
+        use wire::worker_message::Kind;
+        Ok(match required("message.kind", m.kind)? {
+            Kind::Hello(h) => {
+                if h.threads == 0 || h.threads > MAX_THREADS {
+                    let message = format!("{} is outside 1 … {MAX_THREADS} (MAX_THREADS)", h.threads);
+                    return Err(WireError::invalid("hello.threads", message));
+                }
+                let name = name("hello.name", h.name)?;
+                FromWorker::Hello(Hello { name, threads: h.threads, memory_bytes: h.memory_bytes })
+            }
+            Kind::Heartbeat(_) => FromWorker::Heartbeat,
+            Kind::TaskFailed(t) => FromWorker::TaskFailed {
+                lease: LeaseId(t.lease),
+                attempt: t.attempt,
+                error: truncated(&t.error, MAX_ERROR_BYTES).to_owned(),
+            },
+            Kind::TaskReturned(t) => FromWorker::TaskReturned { lease: LeaseId(t.lease), attempt: t.attempt },
+            Kind::Draining(_) => FromWorker::Draining,
+        })
+    }
+}
+
+impl From<MapRef> for wire::MapRef {
+    fn from(m: MapRef) -> Self {
+        wire::MapRef { map: wire::MapKind::from(m.kind).into(), digest: m.digest.to_bytes(), bytes: m.bytes }
+    }
+}
+
+impl TryFrom<wire::MapRef> for MapRef {
+    type Error = WireError;
+    fn try_from(m: wire::MapRef) -> Result<Self, WireError> {
+        WireError::check_limit("map size in bytes", m.bytes, MAX_MAP_BYTES, "MAX_MAP_BYTES")?;
+        Ok(MapRef { kind: map_kind(m.map)?, digest: Digest::try_from(&m.digest[..])?, bytes: m.bytes })
+    }
+}
+
+impl From<Lease> for wire::Lease {
+    fn from(l: Lease) -> Self {
+        let task = match l.task {
+            Task::Emission(map) => {
+                wire::lease::Task::Emission(wire::EmissionTask { map: wire::MapKind::from(map).into() })
+            }
+            Task::Gather(maps) => {
+                wire::lease::Task::Gather(wire::GatherTask { maps: maps.into_iter().map(Into::into).collect() })
+            }
+        };
+        wire::Lease {
+            lease: l.id.0,
+            attempt: l.attempt,
+            job: l.job.0,
+            first: l.range.first,
+            end: l.range.end,
+            task: Some(task),
+        }
+    }
+}
+
+impl TryFrom<wire::Lease> for Lease {
+    type Error = WireError;
+    fn try_from(l: wire::Lease) -> Result<Self, WireError> {
+        let task = match required("lease.task", l.task)? {
+            wire::lease::Task::Emission(t) => Task::Emission(map_kind(t.map)?),
+            wire::lease::Task::Gather(t) => {
+                let limit = MapKind::ALL.len() as u64;
+                WireError::check_limit("maps of a lease", t.maps.len() as u64, limit, "number of map kinds")?;
+                Task::Gather(t.maps.into_iter().map(MapRef::try_from).collect::<Result<_, _>>()?)
+            }
+        };
+        let range = range(l.first, l.end)?;
+        Ok(Lease { id: LeaseId(l.lease), attempt: l.attempt, job: JobId(l.job), range, task })
+    }
+}
+
+impl From<ToWorker> for wire::CoordinatorMessage {
+    fn from(m: ToWorker) -> Self {
+        use wire::coordinator_message::Kind;
+        let kind = match m {
+            ToWorker::Welcome { worker, session, heartbeat } => {
+                Kind::Welcome(wire::Welcome { worker: worker.0, session, heartbeat_ms: heartbeat.as_millis() as u32 })
+            }
+            ToWorker::Prepare { job, scene, settings } => Kind::Prepare(wire::Prepare {
+                job: job.0,
+                scene: Some((&scene).into()),
+                settings: Some((&*settings).into()),
+            }),
+            ToWorker::Lease(l) => Kind::Lease(l.into()),
+            ToWorker::Revoke(lease) => Kind::Revoke(wire::Revoke { lease: lease.0 }),
+            ToWorker::Forget(job) => Kind::Forget(wire::Forget { job: job.0 }),
+        };
+        wire::CoordinatorMessage { kind: Some(kind) }
+    }
+}
+
+impl TryFrom<wire::CoordinatorMessage> for ToWorker {
+    type Error = WireError;
+    fn try_from(m: wire::CoordinatorMessage) -> Result<Self, WireError> {
+        use wire::coordinator_message::Kind;
+        Ok(match required("message.kind", m.kind)? {
+            Kind::Welcome(w) => {
+                // Never a busy loop, and never so rare that the coordinator takes us for dead.
+                let heartbeat = Duration::from_millis(w.heartbeat_ms.into());
+                let heartbeat = heartbeat.clamp(HEARTBEAT / 100, HEARTBEAT);
+                ToWorker::Welcome { worker: WorkerId(w.worker), session: w.session, heartbeat }
+            }
+            Kind::Prepare(p) => ToWorker::Prepare {
+                job: JobId(p.job),
+                scene: required("prepare.scene", p.scene)?.try_into()?,
+                settings: Box::new(required("prepare.settings", p.settings)?.try_into()?),
+            },
+            Kind::Lease(l) => ToWorker::Lease(l.try_into()?),
+            Kind::Revoke(r) => ToWorker::Revoke(LeaseId(r.lease)),
+            Kind::Forget(f) => ToWorker::Forget(JobId(f.job)),
+        })
+    }
+}
+
+impl From<DeliverHeader> for wire::DeliverHeader {
+    fn from(h: DeliverHeader) -> Self {
+        wire::DeliverHeader {
+            session: h.session,
+            lease: h.lease.0,
+            attempt: h.attempt,
+            first: h.range.first,
+            end: h.range.end,
+            busy_micros: u64::try_from(h.busy.as_micros()).unwrap_or(u64::MAX),
+        }
+    }
+}
+
+impl TryFrom<wire::DeliverHeader> for DeliverHeader {
+    type Error = WireError;
+    fn try_from(h: wire::DeliverHeader) -> Result<Self, WireError> {
+        Ok(DeliverHeader {
+            session: h.session,
+            lease: LeaseId(h.lease),
+            attempt: h.attempt,
+            range: range(h.first, h.end)?,
+            busy: Duration::from_micros(h.busy_micros),
+        })
+    }
+}

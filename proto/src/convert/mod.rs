@@ -1,0 +1,43 @@
+//! Wire ↔ domain, and nothing else in the project converts: `From` for domain → wire, `TryFrom` for wire → domain,
+//! which checks everything a peer could get wrong.
+
+mod job;
+mod message;
+mod scene;
+mod settings;
+
+#[cfg(test)]
+mod tests;
+
+use crate::error::WireError;
+use crate::limits::MAX_NAME_BYTES;
+use crate::wire;
+use gatherlight_render::photon::MapKind;
+
+/// A required sub-message.
+fn required<T>(field: &'static str, value: Option<T>) -> Result<T, WireError> {
+    value.ok_or(WireError::Missing(field))
+}
+
+/// A bounded text.
+fn name(field: &'static str, text: String) -> Result<String, WireError> {
+    WireError::check_limit(field, text.len() as u64, MAX_NAME_BYTES as u64, "MAX_NAME_BYTES")?;
+    Ok(text)
+}
+
+impl From<MapKind> for wire::MapKind {
+    fn from(kind: MapKind) -> Self {
+        match kind {
+            MapKind::Global => wire::MapKind::Global,
+            MapKind::Caustic => wire::MapKind::Caustic,
+        }
+    }
+}
+
+fn map_kind(value: i32) -> Result<MapKind, WireError> {
+    match wire::MapKind::try_from(value) {
+        Ok(wire::MapKind::Global) => Ok(MapKind::Global),
+        Ok(wire::MapKind::Caustic) => Ok(MapKind::Caustic),
+        _ => Err(WireError::invalid("map", format!("{value} is no map kind"))),
+    }
+}

@@ -1,0 +1,183 @@
+//! Every message survives the wire; nothing nonsensical gets through.
+
+use crate::digest::Digest;
+use crate::message::{
+    BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, SceneManifest, Task, ToWorker,
+};
+use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
+use crate::wire;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Method, RenderSettings};
+use prost::Message;
+use std::time::Duration;
+
+fn settings() -> RenderSettings {
+    RenderSettings {
+        method: Method::Path,
+        width: 3,
+        height: 4,
+        camera: CameraChoice::Name("Küche".into()),
+        samples: 5,
+        seed: u64::MAX,
+        max_depth: Some(6),
+        photons: 7,
+        caustic_photons: 8,
+        k: 9,
+        max_radius: Some(0.25),
+        final_gather: 10,
+        estimator: Estimator::Hash,
+        kernel: Kernel::Epanechnikov,
+        layers: Layer::ALL.to_vec(),
+    }
+}
+
+fn blob(n: u8) -> BlobRef {
+    BlobRef { digest: Digest([n; 32]), bytes: u64::from(n) }
+}
+
+fn manifest() -> SceneManifest {
+    let externals = vec![("a b.bin".into(), blob(2)), ("c.png".into(), blob(3)), ("d.png".into(), blob(2))];
+    SceneManifest { name: "box.gltf".into(), root: blob(1), externals }
+}
+
+#[test]
+fn settings_survive_the_wire() {
+    let cameras = [CameraChoice::First, CameraChoice::Index(0), CameraChoice::Name(String::new())];
+    for s in cameras.map(|camera| RenderSettings { camera, ..settings() }).iter().chain([
+        &settings(),
+        &RenderSettings::default(),
+        &RenderSettings { max_depth: None, max_radius: None, layers: Vec::new(), ..settings() },
+    ]) {
+        let bytes = wire::RenderSettings::from(s).encode_to_vec();
+        let back = wire::RenderSettings::decode(&bytes[..]).expect("decodes");
+        assert_eq!(RenderSettings::try_from(back).as_ref(), Ok(s));
+    }
+}
+
+#[test]
+fn nonsense_settings_are_refused() {
+    let good = wire::RenderSettings::from(&settings());
+    let bad = [
+        wire::RenderSettings { width: 0, ..good.clone() },
+        wire::RenderSettings { method: 0, ..good.clone() },
+        wire::RenderSettings { kernel: 77, ..good.clone() },
+        wire::RenderSettings { layers: vec![1, 1], ..good.clone() },
+        wire::RenderSettings { layers: vec![1; 1_000], ..good.clone() },
+        wire::RenderSettings { max_radius: Some(f32::NAN), ..good },
+    ];
+    for b in bad {
+        assert!(RenderSettings::try_from(b.clone()).is_err(), "{b:?}");
+    }
+}
+
+#[test]
+fn a_manifest_survives_and_names_each_blob_once() {
+    assert_eq!(SceneManifest::try_from(wire::SceneManifest::from(&manifest())), Ok(manifest()));
+    assert_eq!(manifest().blobs(), [blob(1), blob(2), blob(3)]);
+}
+
+#[test]
+fn manifests_without_root_or_with_short_digests_are_refused() {
+    let good = wire::SceneManifest::from(&manifest());
+    assert!(SceneManifest::try_from(wire::SceneManifest { root: None, ..good.clone() }).is_err());
+    let short = wire::Blob { digest: vec![1; 31].into(), bytes: 1 };
+    assert!(SceneManifest::try_from(wire::SceneManifest { root: Some(short), ..good.clone() }).is_err());
+    let huge = wire::Blob { digest: vec![1; 32].into(), bytes: u64::MAX };
+    assert!(SceneManifest::try_from(wire::SceneManifest { root: Some(huge), ..good.clone() }).is_err());
+    let long = wire::SceneManifest { name: "x".repeat(5_000), ..good };
+    assert!(SceneManifest::try_from(long).is_err());
+}
+
+#[test]
+fn messages_between_coordinator_and_worker_survive() {
+    let lease = |task| Lease {
+        id: LeaseId(7),
+        attempt: 2,
+        job: JobId(9),
+        range: EmissionRange { first: 3, end: 1 << 40 },
+        task,
+    };
+    let map = MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 };
+    let to = [
+        ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) },
+        ToWorker::Lease(lease(Task::Emission(MapKind::Global))),
+        ToWorker::Lease(lease(Task::Gather(vec![map]))),
+        ToWorker::Revoke(LeaseId(7)),
+        ToWorker::Forget(JobId(9)),
+    ];
+    for m in to {
+        assert_eq!(ToWorker::try_from(wire::CoordinatorMessage::from(m.clone())), Ok(m));
+    }
+    let from = [
+        FromWorker::Hello(Hello { name: "w".into(), threads: 4, memory_bytes: 1 << 33 }),
+        FromWorker::Heartbeat,
+        FromWorker::TaskFailed { lease: LeaseId(7), attempt: 2, error: "no".into() },
+        FromWorker::TaskReturned { lease: LeaseId(7), attempt: 2 },
+        FromWorker::Draining,
+    ];
+    for m in from {
+        assert_eq!(FromWorker::try_from(wire::WorkerMessage::from(m.clone())), Ok(m));
+    }
+    let header = DeliverHeader {
+        session: 1,
+        lease: LeaseId(2),
+        attempt: 3,
+        range: EmissionRange { first: 4, end: 5 },
+        busy: Duration::from_micros(6),
+    };
+    assert_eq!(DeliverHeader::try_from(wire::DeliverHeader::from(header)), Ok(header));
+}
+
+#[test]
+fn empty_and_senseless_messages_are_refused() {
+    assert!(FromWorker::try_from(wire::WorkerMessage { kind: None }).is_err());
+    assert!(ToWorker::try_from(wire::CoordinatorMessage { kind: None }).is_err());
+    let backwards = wire::DeliverHeader { first: 2, end: 1, ..Default::default() };
+    assert!(DeliverHeader::try_from(backwards).is_err());
+    let hello = wire::Hello { threads: 0, ..Default::default() };
+    let hello = wire::WorkerMessage { kind: Some(wire::worker_message::Kind::Hello(hello)) };
+    assert!(FromWorker::try_from(hello).is_err());
+    assert!(Lease::try_from(wire::Lease::default()).is_err());
+}
+
+#[test]
+fn long_errors_are_cut() {
+    let m = FromWorker::TaskFailed { lease: LeaseId(1), attempt: 1, error: "ä".repeat(10_000) };
+    let Ok(FromWorker::TaskFailed { error, .. }) = FromWorker::try_from(wire::WorkerMessage::from(m)) else {
+        panic!("is a failure");
+    };
+    assert_eq!(error.len(), 4_096);
+}
+
+#[test]
+fn job_snapshots_survive() {
+    let map = MapStats { kind: MapKind::Global, emitted_count: 1, emitted_total: 2, stored_count: 3, bytes: 4 };
+    let stats = JobStats { maps: vec![map], rays: 5, gather_radius: Some(0.5), k: 6, ..JobStats::default() };
+    let states = [
+        JobState::Waiting,
+        JobState::Emission(MapKind::Caustic),
+        JobState::Merge(MapKind::Global),
+        JobState::Broadcast,
+        JobState::Gather,
+        JobState::Assemble,
+        JobState::Done,
+        JobState::Failed("why".into()),
+        JobState::Cancelled,
+    ];
+    for state in states {
+        let p = JobProgress {
+            id: JobId(1),
+            name: "n".into(),
+            state,
+            done: 1,
+            total: 2,
+            rate: 3.5,
+            state_elapsed: Duration::from_millis(4),
+            elapsed: Duration::from_millis(5),
+            workers: 6,
+            stats: stats.clone(),
+            result_digest: Some(Digest([8; 32])),
+        };
+        assert_eq!(JobProgress::try_from(wire::Job::from(&p)), Ok(p));
+    }
+}

@@ -1,0 +1,40 @@
+//! Limits of the wire. A peer that exceeds one is refused with an error that names it.
+
+use std::time::Duration;
+
+/// Version of messages and payload layouts; both sides must have the same.
+pub const PROTOCOL_VERSION: u32 = 1;
+/// Metadata key of the sender's [`PROTOCOL_VERSION`].
+pub const PROTOCOL_KEY: &str = "gatherlight-protocol";
+/// Metadata key of the sender's program version.
+pub const VERSION_KEY: &str = "gatherlight-version";
+
+/// Payload bytes in one chunk: well under gRPC's default message limit of 4 MiB, large enough that the cost per
+/// message does not show.
+pub const CHUNK_BYTES: usize = 2 << 20;
+/// Largest message either side decodes: a chunk and its frame, or a long listing.
+pub const MAX_MESSAGE_BYTES: usize = CHUNK_BYTES + (64 << 10);
+/// Largest result of one lease. Leases are cut far below it.
+pub const MAX_RESULT_BYTES: u64 = 1 << 30;
+/// Most photons of one batch, and so of one lease's result.
+pub const MAX_BATCH_PHOTONS: u64 = 1 << 25;
+/// Largest encoded photon map.
+pub const MAX_MAP_BYTES: u64 = 64 << 30;
+/// Largest scene file, buffer or image.
+pub const MAX_BLOB_BYTES: u64 = 16 << 30;
+/// Largest finished image file.
+pub const MAX_IMAGE_BYTES: u64 = 64 << 30;
+/// Most external files of a scene.
+pub const MAX_EXTERNALS: usize = 16_384;
+/// Longest name or URI, in bytes. A data URI never gets here: it stays inside its file.
+pub const MAX_NAME_BYTES: usize = 4_096;
+/// Longest error text taken from a peer, in bytes; the rest is cut off.
+pub const MAX_ERROR_BYTES: usize = 4_096;
+/// Most threads a worker may claim.
+pub const MAX_THREADS: u32 = 4_096;
+/// Window of one HTTP/2 stream: 4 MiB keeps 1 Gbit/s busy at 30 ms.
+pub const STREAM_WINDOW_BYTES: u32 = 4 << 20;
+/// Window of one HTTP/2 connection.
+pub const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
+/// Time between two heartbeats of a worker.
+pub const HEARTBEAT: Duration = Duration::from_secs(1);

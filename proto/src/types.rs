@@ -1,0 +1,163 @@
+//! What clients see of jobs and workers, and what coordinator and workers tell each other.
+
+use crate::digest::Digest;
+use gatherlight_render::photon::MapKind;
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// Names a job; drawn at random, so that it cannot be guessed from another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct JobId(pub u64);
+
+impl fmt::Display for JobId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+/// A text that is no job id.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no job id; job ids are 16 hexadecimal digits, as `gatherlight jobs` lists them")]
+pub struct ParseJobIdError(String);
+
+impl FromStr for JobId {
+    type Err = ParseJobIdError;
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        let valid = s.len() == 16 && s.bytes().all(|b| b.is_ascii_hexdigit());
+        let id = valid.then(|| u64::from_str_radix(s, 16).ok()).flatten();
+        id.map(JobId).ok_or_else(|| ParseJobIdError(s.chars().take(64).collect()))
+    }
+}
+
+/// Where a job stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum JobState {
+    /// Accepted; no worker has begun.
+    Waiting,
+    /// Photon paths for this map are being traced.
+    Emission(MapKind),
+    /// This map's photons are merged and its search structure is built.
+    Merge(MapKind),
+    /// The maps are on their way to the workers.
+    Broadcast,
+    /// Tiles are being rendered.
+    Gather,
+    /// All tiles are there; the image is being put together and encoded.
+    Assemble,
+    /// The image can be fetched.
+    Done,
+    /// The work failed; the text says why.
+    Failed(String),
+    /// Cancelled by a client.
+    Cancelled,
+}
+
+impl JobState {
+    /// Name in listings: `waiting`, `emission`, `merge`, `broadcast`, `gather`, `assemble`, `done`, `failed`, `cancelled`.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            JobState::Waiting => "waiting",
+            JobState::Emission(_) => "emission",
+            JobState::Merge(_) => "merge",
+            JobState::Broadcast => "broadcast",
+            JobState::Gather => "gather",
+            JobState::Assemble => "assemble",
+            JobState::Done => "done",
+            JobState::Failed(_) => "failed",
+            JobState::Cancelled => "cancelled",
+        }
+    }
+    /// Whether the job has come to its end.
+    pub const fn is_final(&self) -> bool {
+        matches!(self, JobState::Done | JobState::Failed(_) | JobState::Cancelled)
+    }
+}
+
+/// Counts of one photon map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapStats {
+    /// Which map.
+    pub kind: MapKind,
+    /// Photon paths emitted so far; the divisor of every estimate once the map is built.
+    pub emitted_count: u64,
+    /// Photon paths to emit.
+    pub emitted_total: u64,
+    /// Photons stored so far.
+    pub stored_count: u64,
+    /// Bytes of the map as broadcast; 0 until it is built.
+    pub bytes: u64,
+}
+
+/// What a job has cost and counted so far.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JobStats {
+    /// Per photon map, in canonical order; empty where the method needs none.
+    pub maps: Vec<MapStats>,
+    /// Rays traced by the gather pass.
+    pub rays: u64,
+    /// Samples left out because they were not finite.
+    pub non_finite: u64,
+    /// Largest gather radius, in world units, once known: given or chosen from the map's density.
+    pub gather_radius: Option<f32>,
+    /// Neighbours of a density estimate.
+    pub k: u32,
+    /// Compute time of all workers, summed over their threads' pools (wall time of tasks).
+    pub busy: Duration,
+    /// Leases handed out again because a worker was lost, late or failed.
+    pub retried_leases: u64,
+    /// Bytes of results received from workers.
+    pub result_bytes: u64,
+    /// Bytes of maps sent to workers.
+    pub broadcast_bytes: u64,
+}
+
+/// A snapshot of one job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobProgress {
+    /// The job.
+    pub id: JobId,
+    /// Its name, by default the scene file's.
+    pub name: String,
+    /// Where it stands.
+    pub state: JobState,
+    /// Units of the present state done: paths, bytes (broadcast) or tiles.
+    pub done: u64,
+    /// Units of the present state in all; 0 where it has none.
+    pub total: u64,
+    /// Units per second of the present state, averaged since it began; 0 while unknown.
+    pub rate: f64,
+    /// Time since the present state began.
+    pub state_elapsed: Duration,
+    /// Time since the job was submitted; stands still once it has ended.
+    pub elapsed: Duration,
+    /// Workers that hold a lease of this job now.
+    pub workers: u32,
+    /// Counts so far.
+    pub stats: JobStats,
+    /// BLAKE3 digest of the finished EXR, once done.
+    pub result_digest: Option<Digest>,
+}
+
+/// A worker as the coordinator sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorkerInfo {
+    /// Number given on joining; never used again.
+    pub id: u64,
+    /// Name it gave itself.
+    pub name: String,
+    /// Compute threads.
+    pub threads: u32,
+    /// Memory it may use, in bytes.
+    pub memory_bytes: u64,
+    /// `working`, `idle`, `draining` or `set aside`.
+    pub state: String,
+    /// Leases it holds.
+    pub leases: u32,
+    /// Leases it has completed.
+    pub completed: u64,
+    /// Time since it was last heard.
+    pub last_heard: Duration,
+    /// Time since it joined.
+    pub joined: Duration,
+}
