@@ -1,6 +1,7 @@
 //! Triangle meshes as arrays, and their instances.
 
-use glam::{Affine3A, Mat3, Vec2, Vec3, Vec4};
+use super::Bounds;
+use glam::{Affine3A, DAffine3, Mat3, Vec2, Vec3, Vec4};
 
 /// One glTF primitive: triangles with one material. All attribute arrays have one entry per vertex.
 #[derive(Clone, Debug, Default)]
@@ -42,4 +43,50 @@ pub struct Instance {
     pub transform: Option<Transform>,
     /// Index of the first triangle of this instance in the scene's list of emissive triangles, where it emits.
     pub first_emitter: Option<u32>,
+}
+
+impl Mesh {
+    /// Box around all vertices, in the mesh's own space.
+    pub fn bounds(&self) -> Bounds {
+        Bounds::of(self.positions.iter().copied())
+    }
+
+    /// Corners of triangle `triangle` of this mesh in scene space, in the mesh's order. Panics if an index is out of
+    /// range.
+    #[inline]
+    pub fn triangle_positions(&self, triangle: u32, instance: &Instance) -> [Vec3; 3] {
+        let corners = self.triangles[triangle as usize].map(|v| self.positions[v as usize]);
+        match &instance.transform {
+            None => corners,
+            Some(transform) => corners.map(|p| transform.to_scene.transform_point3(p)),
+        }
+    }
+
+    /// Area of triangle `triangle` in scene space. Panics if an index is out of range.
+    #[inline]
+    pub fn area(&self, triangle: u32, instance: &Instance) -> f32 {
+        let [a, b, c] = self.triangle_positions(triangle, instance).map(|p| p.as_dvec3());
+        (0.5 * (b - a).cross(c - a).length()) as f32
+    }
+}
+
+impl Transform {
+    /// A transform by its double-precision map from object to scene.
+    ///
+    /// A mirroring map (negative determinant) turns counter-clockwise triangles into clockwise ones. What the author
+    /// made the front stays the front: [`Transform::normal_to_scene`] is the inverse transpose without any change of
+    /// sign, so that it maps the object-space normal (counter-clockwise by the vertices' order) to the scene-space
+    /// normal of the same side. It is *not* the cross product of the mapped edges, which points to the other side if the
+    /// map mirrors. `Mesh::triangle_positions` keeps the vertices' order, so there counter-clockwise is the back.
+    ///
+    /// A map without an inverse gives entries that are not finite; the accelerator leaves such instances out.
+    pub fn new(to_scene: DAffine3) -> Self {
+        let to_object = to_scene.inverse();
+        let single = |a: DAffine3| Affine3A::from_mat3_translation(a.matrix3.as_mat3(), a.translation.as_vec3());
+        Transform {
+            to_scene: single(to_scene),
+            to_object: single(to_object),
+            normal_to_scene: to_object.matrix3.transpose().as_mat3(),
+        }
+    }
 }
