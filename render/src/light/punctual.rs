@@ -1,7 +1,7 @@
 //! Point, spot and directional lights (KHR_lights_punctual).
 
 use super::{EmissionSample, LightLiSample};
-use crate::math::ops::{PI, cos, safe_sqrt, sin};
+use crate::math::ops::{PI, cbrt, cos, safe_sqrt, sin, sin64};
 use crate::math::warp::{disc, uniform_sphere};
 use crate::math::{Frame, Rgb};
 use glam::Vec3;
@@ -95,7 +95,7 @@ impl SpotLight {
     pub fn new(position: Vec3, axis: Vec3, intensity: Rgb, inner: f64, outer: f64) -> SpotLight {
         // 1 − cos θ = 2 sin²(θ/2) keeps its digits for tiny cones.
         let one_minus_cos = |angle: f64| {
-            let s = libm::sin(0.5 * angle);
+            let s = sin64(0.5 * angle);
             2.0 * s * s
         };
         let (hi, ho) = (one_minus_cos(inner.min(outer)), one_minus_cos(outer));
@@ -145,7 +145,7 @@ impl SpotLight {
             x
         } else {
             let v = ((x - flat) / slope).clamp(0.0, 1.0);
-            self.outer - (self.outer - self.inner) * libm::cbrtf(1.0 - v)
+            self.outer - (self.outer - self.inner) * cbrt(1.0 - v)
         };
         let (r, phi) = (safe_sqrt(h * (2.0 - h)), 2.0 * PI * u[1]);
         let direction = self.frame.to_scene(Vec3::new(r * cos(phi), r * sin(phi), 1.0 - h)).normalize();

@@ -1,5 +1,6 @@
 //! Uniform directions in a spherical triangle (Arvo 1995), in double precision.
 
+use crate::math::ops::{atan2_64, cos64, sin64};
 use glam::DVec3;
 
 /// Slivers whose angle at the first vertex has a smaller sine are refused: Arvo's map divides by it.
@@ -32,7 +33,7 @@ impl SphericalTriangle {
         let (a, b, c, cos_alpha, sin_alpha) = (self.a, self.b, self.c, self.cos_alpha, self.sin_alpha);
         // The sub-triangle of a, b and a point of the arc ac that has the share u₀ of the area; φ = area − α.
         let area = self.solid_angle * f64::from(u[0]);
-        let (sin_area, cos_area) = (libm::sin(area), libm::cos(area));
+        let (sin_area, cos_area) = (sin64(area), cos64(area));
         let sin_phi = sin_area * cos_alpha - cos_area * sin_alpha;
         let cos_phi = cos_area * cos_alpha + sin_area * sin_alpha;
         let k = cos_phi - cos_alpha;
@@ -61,5 +62,5 @@ fn along(from: DVec3, to: DVec3, cosine: f64) -> Option<DVec3> {
 /// Solid angle of three unit directions (Van Oosterom and Strackee 1983), steradians in [0, 2π].
 pub fn solid_angle(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let triple = a.dot(b.cross(c)).abs();
-    2.0 * libm::atan2(triple, 1.0 + a.dot(b) + b.dot(c) + c.dot(a))
+    2.0 * atan2_64(triple, 1.0 + a.dot(b) + b.dot(c) + c.dot(a))
 }

@@ -31,6 +31,21 @@ pub fn tan64(x: f64) -> f64 {
 pub fn cos64(x: f64) -> f64 {
     libm::cos(x)
 }
+/// Sine of `x` radians in double precision.
+#[inline]
+pub fn sin64(x: f64) -> f64 {
+    libm::sin(x)
+}
+/// Angle of the point (x, y) in double precision, radians in (−π, π].
+#[inline]
+pub fn atan2_64(y: f64, x: f64) -> f64 {
+    libm::atan2(y, x)
+}
+/// Cube root.
+#[inline]
+pub fn cbrt(x: f32) -> f32 {
+    libm::cbrtf(x)
+}
 /// Angle of the point (x, y), radians in (−π, π].
 #[inline]
 pub fn atan2(y: f32, x: f32) -> f32 {
