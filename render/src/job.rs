@@ -6,6 +6,7 @@
 use crate::error::{SceneError, SettingsError};
 use crate::film::{ChannelSet, Tile, TileGrid};
 use crate::import::SceneBundle;
+pub use crate::photon::map::{PhotonMap, PhotonMaps};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::settings::RenderSettings;
 
@@ -45,24 +46,6 @@ pub enum JobError {
     /// A setting is at fault.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-}
-
-/// A photon map as it is broadcast and searched.
-#[derive(Debug)]
-pub struct PhotonMap {
-    /// Which map.
-    pub kind: MapKind,
-    /// The divisor of every estimate.
-    pub emitted_count: u64,
-}
-
-/// The maps a gather pass reads.
-#[derive(Default, Debug)]
-pub struct PhotonMaps {
-    /// All light on diffuse surfaces.
-    pub global: Option<PhotonMap>,
-    /// Focused light.
-    pub caustic: Option<PhotonMap>,
 }
 
 /// A scene ready to render with its settings.
@@ -109,7 +92,7 @@ impl PreparedJob {
     }
     /// Builds the search structure over merged photons (`merged.range` = [0, emitted)).
     pub fn build_map(&self, kind: MapKind, merged: PhotonBatch) -> PhotonMap {
-        PhotonMap { kind, emitted_count: merged.range.len() }
+        PhotonMap::build(kind, merged)
     }
     /// Renders tile `index`, on the current thread.
     pub fn gather(&self, _maps: &PhotonMaps, index: u32) -> Tile {

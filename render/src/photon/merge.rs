@@ -1,1 +1,285 @@
-//! merge
+//! The gather collective's reduction: photon batches in any order of arrival become one batch in path order.
+//!
+//! The result is a function of the photons alone: it is the same for every partition of the paths, every order of arrival
+//! and every number of workers. A path that is missing or there twice is an error, never a darker or brighter image.
+
+use super::{EmissionRange, MapKind, PhotonBatch};
+use std::collections::BTreeMap;
+
+/// Why batches do not make one map. Ranges are of photon paths, [first, end).
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MergeError {
+    /// Paths that no batch covers.
+    #[error("{} map: no batch covers photon paths {missing}", .kind.name())]
+    Gap {
+        /// The map.
+        kind: MapKind,
+        /// The first run of missing paths.
+        missing: EmissionRange,
+    },
+    /// The same batch twice.
+    #[error("{} map: photon paths {range} arrived twice", .kind.name())]
+    Duplicate {
+        /// The map.
+        kind: MapKind,
+        /// The repeated range.
+        range: EmissionRange,
+    },
+    /// Two batches share some paths.
+    #[error("{} map: photon paths {second} overlap {first}, which arrived before", .kind.name())]
+    Overlap {
+        /// The map.
+        kind: MapKind,
+        /// The range that was there.
+        first: EmissionRange,
+        /// The range that came after.
+        second: EmissionRange,
+    },
+    /// A batch reaches beyond the job's paths.
+    #[error("{} map: photon paths {range} are outside the job's {total}", .kind.name())]
+    Outside {
+        /// The map.
+        kind: MapKind,
+        /// The batch's range.
+        range: EmissionRange,
+        /// The job's range.
+        total: EmissionRange,
+    },
+    /// A batch contradicts itself or the others.
+    #[error("{} map: the batch of photon paths {range} is malformed: {message}", .kind.name())]
+    Malformed {
+        /// The map.
+        kind: MapKind,
+        /// The batch's range.
+        range: EmissionRange,
+        /// What is wrong.
+        message: &'static str,
+    },
+}
+
+/// Joins `batches`, which must cover `total` without gap or overlap, into one batch in path order.
+///
+/// # Errors
+/// Gaps, overlaps, duplicates, ranges outside `total` and malformed batches, each naming its range.
+pub fn merge(kind: MapKind, total: EmissionRange, batches: Vec<PhotonBatch>) -> Result<PhotonBatch, MergeError> {
+    let mut merger = Merger::new(kind, total);
+    for batch in batches {
+        merger.insert(batch)?;
+    }
+    merger.finish()
+}
+
+/// Takes batches as they arrive and joins them in path order at the end.
+#[derive(Debug)]
+pub struct Merger {
+    kind: MapKind,
+    total: EmissionRange,
+    /// By first path; disjoint, none empty.
+    batches: BTreeMap<u64, PhotonBatch>,
+    directions: Option<bool>,
+    covered: u64,
+    stored: usize,
+}
+
+impl Merger {
+    /// A merger for the photon paths of `total`.
+    pub fn new(kind: MapKind, total: EmissionRange) -> Self {
+        Merger { kind, total, batches: BTreeMap::new(), directions: None, covered: 0, stored: 0 }
+    }
+    /// Paths covered so far.
+    pub fn covered_count(&self) -> u64 {
+        self.covered
+    }
+    /// Photons held so far.
+    pub fn stored_count(&self) -> usize {
+        self.stored
+    }
+    /// All paths are covered.
+    pub fn is_complete(&self) -> bool {
+        self.covered == self.total.len()
+    }
+
+    /// Takes a batch. After an error the merger is as it was before.
+    ///
+    /// # Errors
+    /// When the batch overlaps an earlier one, leaves the job's range or is malformed.
+    pub fn insert(&mut self, batch: PhotonBatch) -> Result<(), MergeError> {
+        let (kind, range) = (self.kind, batch.range);
+        if range.first > range.end || range.first < self.total.first || range.end > self.total.end {
+            return Err(MergeError::Outside { kind, range, total: self.total });
+        }
+        if let Some(message) = self.malformed(&batch) {
+            return Err(MergeError::Malformed { kind, range, message });
+        }
+        if range.is_empty() {
+            return Ok(());
+        }
+        // Held ranges are disjoint, so only the last one that begins before `range.end` can overlap.
+        if let Some(other) = self.batches.range(..range.end).next_back().map(|(_, b)| b.range)
+            && other.end > range.first
+        {
+            return Err(if other == range {
+                MergeError::Duplicate { kind, range }
+            } else {
+                MergeError::Overlap { kind, first: other, second: range }
+            });
+        }
+        self.directions = Some(batch.directions.is_some());
+        self.covered += range.len();
+        self.stored += batch.len();
+        self.batches.insert(range.first, batch);
+        Ok(())
+    }
+
+    fn malformed(&self, batch: &PhotonBatch) -> Option<&'static str> {
+        let n = batch.len();
+        let directions = batch.directions.as_ref();
+        if batch.powers.len() != n || batch.normals.len() != n || directions.is_some_and(|d| d.len() != n) {
+            return Some("its arrays differ in length");
+        }
+        if batch.range.is_empty() && n > 0 {
+            return Some("it has photons but no paths");
+        }
+        if !batch.range.is_empty() && self.directions.is_some_and(|d| d != directions.is_some()) {
+            return Some("it differs from the other batches in having directions");
+        }
+        None
+    }
+
+    /// The merged batch; each part is freed as soon as it is copied.
+    ///
+    /// # Errors
+    /// When paths are missing.
+    pub fn finish(self) -> Result<PhotonBatch, MergeError> {
+        let mut next = self.total.first;
+        for range in self.batches.values().map(|b| b.range) {
+            if range.first != next {
+                let missing = EmissionRange { first: next, end: range.first };
+                return Err(MergeError::Gap { kind: self.kind, missing });
+            }
+            next = range.end;
+        }
+        if next != self.total.end {
+            let missing = EmissionRange { first: next, end: self.total.end };
+            return Err(MergeError::Gap { kind: self.kind, missing });
+        }
+        Ok(concatenate(self.total, self.directions.unwrap_or(false), self.stored, self.batches))
+    }
+}
+
+fn concatenate(
+    total: EmissionRange,
+    directions: bool,
+    stored: usize,
+    mut batches: BTreeMap<u64, PhotonBatch>,
+) -> PhotonBatch {
+    if batches.len() == 1
+        && let Some((_, batch)) = batches.pop_first()
+    {
+        return batch;
+    }
+    let mut merged = PhotonBatch::new(total, directions);
+    merged.positions.reserve_exact(stored);
+    merged.powers.reserve_exact(stored);
+    merged.normals.reserve_exact(stored);
+    if let Some(d) = &mut merged.directions {
+        d.reserve_exact(stored);
+    }
+    while let Some((_, batch)) = batches.pop_first() {
+        merged.positions.extend_from_slice(&batch.positions);
+        merged.powers.extend_from_slice(&batch.powers);
+        merged.normals.extend_from_slice(&batch.normals);
+        if let (Some(to), Some(from)) = (&mut merged.directions, &batch.directions) {
+            to.extend_from_slice(from);
+        }
+    }
+    merged
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{Purpose, Stream};
+
+    fn range(first: u64, end: u64) -> EmissionRange {
+        EmissionRange { first, end }
+    }
+
+    /// Path `i` stores i mod 3 photons that carry its number.
+    fn batch(r: EmissionRange) -> PhotonBatch {
+        let mut b = PhotonBatch::new(r, true);
+        for path in r.first..r.end {
+            for bounce in 0..path % 3 {
+                b.positions.push([path as f32, bounce as f32, 0.0]);
+                b.powers.push(path as u32);
+                b.normals.push(bounce as u16);
+                b.directions.as_mut().unwrap().push(!path as u32);
+            }
+        }
+        b
+    }
+
+    #[test]
+    fn any_partition_in_any_order_gives_the_same_batch() {
+        let total = range(0, 1000);
+        let whole = batch(total);
+        let mut s = Stream::new(1, Purpose::Test, 0, 0);
+        for _ in 0..200 {
+            let mut cuts: Vec<u64> = (0..s.next_u64() % 20).map(|_| s.next_u64() % 1001).collect();
+            cuts.extend([0, 1000]);
+            cuts.sort_unstable();
+            let mut parts: Vec<_> = cuts.windows(2).map(|w| batch(range(w[0], w[1]))).collect();
+            for i in (1..parts.len()).rev() {
+                parts.swap(i, (s.next_u64() % (i as u64 + 1)) as usize);
+            }
+            assert_eq!(merge(MapKind::Global, total, parts).unwrap(), whole);
+        }
+    }
+
+    #[test]
+    fn errors_name_the_ranges() {
+        let kind = MapKind::Caustic;
+        let say = |total, parts: &[(u64, u64)]| {
+            let parts = parts.iter().map(|&(a, b)| batch(range(a, b))).collect();
+            merge(kind, total, parts).unwrap_err().to_string()
+        };
+        let total = range(0, 100);
+        assert_eq!(say(total, &[(50, 100), (0, 40)]), "caustic map: no batch covers photon paths [40, 50)");
+        assert_eq!(say(total, &[(10, 100)]), "caustic map: no batch covers photon paths [0, 10)");
+        assert_eq!(say(total, &[(0, 90)]), "caustic map: no batch covers photon paths [90, 100)");
+        assert_eq!(say(total, &[]), "caustic map: no batch covers photon paths [0, 100)");
+        assert_eq!(say(total, &[(0, 60), (0, 60)]), "caustic map: photon paths [0, 60) arrived twice");
+        let overlap = "caustic map: photon paths [50, 100) overlap [0, 60), which arrived before";
+        assert_eq!(say(total, &[(0, 60), (50, 100)]), overlap);
+        assert!(say(total, &[(50, 60), (0, 100)]).contains("overlap"));
+        assert!(say(total, &[(0, 100), (50, 60)]).contains("overlap"));
+        let outside = "caustic map: photon paths [0, 101) are outside the job's [0, 100)";
+        assert_eq!(say(total, &[(0, 101)]), outside);
+    }
+
+    #[test]
+    fn malformed_batches_are_refused() {
+        let refuse = |b: PhotonBatch| {
+            let mut m = Merger::new(MapKind::Global, range(0, 20));
+            m.insert(batch(range(0, 5))).unwrap();
+            m.insert(b).unwrap_err().to_string()
+        };
+        let mut b = batch(range(5, 9));
+        b.powers.pop();
+        assert!(refuse(b).contains("differ in length"));
+        let mut b = batch(range(5, 9));
+        b.directions = None;
+        assert!(refuse(b).contains("directions"));
+        let mut b = batch(range(5, 9));
+        b.range = range(5, 5);
+        assert!(refuse(b).contains("no paths"));
+        let mut b = batch(range(5, 9));
+        b.range = range(9, 5);
+        assert!(refuse(b).contains("outside"));
+    }
+
+    #[test]
+    fn nothing_to_merge_is_an_empty_batch() {
+        assert!(merge(MapKind::Global, range(0, 0), vec![]).unwrap().is_empty());
+    }
+}

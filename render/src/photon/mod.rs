@@ -1,13 +1,16 @@
 //! Photons: emission ranges, stored hits, batches, merging, the search structures and density estimates.
 
 pub mod batch;
+pub mod estimate;
 pub mod grid;
 pub mod kdtree;
 pub mod kernel;
+pub mod map;
 pub mod merge;
 pub mod pack;
 pub mod query;
 pub mod range;
 
 pub use batch::{MapKind, PhotonBatch};
+pub use map::{PhotonMap, PhotonMaps};
 pub use range::EmissionRange;

@@ -1,5 +1,7 @@
 //! Half-open ranges of work indices: emitted photon paths, or tiles.
 
+use std::fmt;
+
 /// Indices [first, end).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EmissionRange {
@@ -21,5 +23,11 @@ impl EmissionRange {
     /// No index.
     pub fn is_empty(&self) -> bool {
         self.first == self.end
+    }
+}
+
+impl fmt::Display for EmissionRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "[{}, {})", self.first, self.end)
     }
 }

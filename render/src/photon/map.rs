@@ -1,0 +1,288 @@
+//! The photon map: merged photons in tree order, as it is built once, broadcast, and searched by every worker.
+
+use super::estimate::{Gather, irradiance_into};
+use super::kdtree::{KdTree, MAX_TREE_PHOTONS};
+use super::pack::{decode_direction, decode_normal, decode_rgbe, encode_rgbe};
+use super::query::NeighbourBuffer;
+use super::{EmissionRange, MapKind, PhotonBatch};
+use crate::math::Rgb;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// The maps a gather pass reads.
+#[derive(Clone, Default, Debug)]
+pub struct PhotonMaps {
+    /// All light on diffuse surfaces.
+    pub global: Option<Arc<PhotonMap>>,
+    /// Focused light.
+    pub caustic: Option<Arc<PhotonMap>>,
+}
+
+/// Photons of one kind in tree order.
+#[derive(Debug)]
+pub struct PhotonMap {
+    kind: MapKind,
+    emitted_count: u64,
+    tree: KdTree,
+    powers: Vec<u32>,
+    normals: Vec<u16>,
+    directions: Option<Vec<u32>>,
+    /// Irradiance at each photon as RGBE; 0 where nobody has looked yet, [`BLACK_IRRADIANCE`] for none.
+    irradiance: Option<Vec<AtomicU32>>,
+}
+
+/// Marks an irradiance of zero in the cache: decodes to black, and no power encodes to it.
+const BLACK_IRRADIANCE: u32 = 1 << 24;
+
+/// A photon map as it travels: arrays in tree order, one entry a photon.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapParts {
+    /// Which map.
+    pub kind: MapKind,
+    /// Emitted paths, the divisor of every estimate.
+    pub emitted_count: u64,
+    /// Coordinates by axis, scene space.
+    pub coordinates: [Vec<f32>; 3],
+    /// Undivided power, RGBE.
+    pub powers: Vec<u32>,
+    /// Normals, octahedral 2 × 8 bits.
+    pub normals: Vec<u16>,
+    /// Directions towards the light, octahedral 2 × 16 bits.
+    pub directions: Option<Vec<u32>>,
+}
+
+/// Why parts make no map.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MapError {
+    /// The arrays differ in length.
+    #[error("{} map: {array} has {actual} entries for {expected} photons", .kind.name())]
+    Length {
+        /// The map.
+        kind: MapKind,
+        /// The array.
+        array: &'static str,
+        /// Its length.
+        actual: usize,
+        /// The number of photons.
+        expected: usize,
+    },
+    /// More photons than a tree can index.
+    #[error("{} map: {actual} photons exceed the limit of {MAX_TREE_PHOTONS}; emit fewer photons", .kind.name())]
+    TooMany {
+        /// The map.
+        kind: MapKind,
+        /// Number of photons.
+        actual: usize,
+    },
+    /// A position is NaN or infinite.
+    #[error("{} map: the position of photon {index} is not finite", .kind.name())]
+    NotFinite {
+        /// The map.
+        kind: MapKind,
+        /// The first such photon.
+        index: usize,
+    },
+}
+
+impl PhotonMap {
+    /// Builds the map over merged photons; `merged.range` holds all emitted paths. The order of the photons within the
+    /// result is a function of the batch alone.
+    ///
+    /// # Panics
+    /// When the batch's arrays differ in length, which [`super::merge`] rules out, or with more than 2³² − 1 photons.
+    pub fn build(kind: MapKind, merged: PhotonBatch) -> PhotonMap {
+        let PhotonBatch { range, positions, powers, normals, directions } = merged;
+        let (tree, order) = KdTree::build(positions);
+        PhotonMap {
+            kind,
+            emitted_count: range.len(),
+            tree,
+            powers: permute(powers, &order),
+            normals: permute(normals, &order),
+            directions: directions.map(|d| permute(d, &order)),
+            irradiance: None,
+        }
+    }
+
+    /// A map without photons.
+    pub fn empty(kind: MapKind, emitted_count: u64) -> PhotonMap {
+        Self::build(kind, PhotonBatch::new(EmissionRange { first: 0, end: emitted_count }, false))
+    }
+
+    /// The map over photons that are in tree order already: equals the map the parts came from. Linear time for any input;
+    /// parts in another order make a valid but slower map.
+    ///
+    /// # Errors
+    /// When lengths differ, or a position is not finite.
+    pub fn from_parts(parts: MapParts) -> Result<PhotonMap, MapError> {
+        let MapParts { kind, emitted_count, coordinates, powers, normals, directions } = parts;
+        let expected = coordinates[0].len();
+        if expected > MAX_TREE_PHOTONS {
+            return Err(MapError::TooMany { kind, actual: expected });
+        }
+        let lengths = [
+            ("y", coordinates[1].len()),
+            ("z", coordinates[2].len()),
+            ("power", powers.len()),
+            ("normal", normals.len()),
+            ("direction", directions.as_ref().map_or(expected, Vec::len)),
+        ];
+        if let Some(&(array, actual)) = lengths.iter().find(|(_, n)| *n != expected) {
+            return Err(MapError::Length { kind, array, actual, expected });
+        }
+        let bad = coordinates.iter().filter_map(|c| c.iter().position(|v| !v.is_finite())).min();
+        if let Some(index) = bad {
+            return Err(MapError::NotFinite { kind, index });
+        }
+        let tree = KdTree::from_tree_order(coordinates);
+        Ok(PhotonMap { kind, emitted_count, tree, powers, normals, directions, irradiance: None })
+    }
+
+    /// Takes the map apart for the wire.
+    pub fn into_parts(self) -> MapParts {
+        MapParts {
+            kind: self.kind,
+            emitted_count: self.emitted_count,
+            coordinates: self.tree.into_coordinates(),
+            powers: self.powers,
+            normals: self.normals,
+            directions: self.directions,
+        }
+    }
+
+    /// Which map this is.
+    pub fn kind(&self) -> MapKind {
+        self.kind
+    }
+    /// The divisor of every estimate.
+    pub fn emitted_count(&self) -> u64 {
+        self.emitted_count
+    }
+    /// Number of photons.
+    pub fn stored_count(&self) -> usize {
+        self.tree.len()
+    }
+    /// No photon is stored.
+    pub fn is_empty(&self) -> bool {
+        self.tree.is_empty()
+    }
+    /// Whether photons carry the direction they came from.
+    pub fn has_directions(&self) -> bool {
+        self.directions.is_some()
+    }
+    /// The search structure.
+    pub fn tree(&self) -> &KdTree {
+        &self.tree
+    }
+    /// Position of photon `index` < stored_count, scene space.
+    #[inline]
+    pub fn position(&self, index: u32) -> Vec3 {
+        Vec3::from_array(self.tree.position(index))
+    }
+    /// Undivided power of photon `index`.
+    #[inline]
+    pub fn power(&self, index: u32) -> Rgb {
+        decode_rgbe(self.powers[index as usize])
+    }
+    /// Unit normal of the surface at photon `index`, on the side the light came from.
+    #[inline]
+    pub fn normal(&self, index: u32) -> Vec3 {
+        decode_normal(self.normals[index as usize])
+    }
+    /// Unit direction from photon `index` towards where its light came from, if the map keeps directions.
+    #[inline]
+    pub fn direction(&self, index: u32) -> Option<Vec3> {
+        self.directions.as_ref().map(|d| decode_direction(d[index as usize]))
+    }
+    /// The packed powers, in tree order.
+    pub fn packed_powers(&self) -> &[u32] {
+        &self.powers
+    }
+    /// The packed normals, in tree order.
+    pub fn packed_normals(&self) -> &[u16] {
+        &self.normals
+    }
+    /// The packed directions, in tree order.
+    pub fn packed_directions(&self) -> Option<&[u32]> {
+        self.directions.as_deref()
+    }
+
+    /// Memory the map holds, its tree and caches included.
+    pub fn memory_bytes(&self) -> u64 {
+        let cache = self.irradiance.as_ref().map_or(0, |c| 4 * c.len() as u64);
+        Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache
+    }
+    /// Memory of a map of `count` photons, without the irradiance cache (4 bytes a photon).
+    pub fn memory_bytes_for(count: usize, directions: bool) -> u64 {
+        let payload = size_of::<u32>() + size_of::<u16>() + if directions { size_of::<u32>() } else { 0 };
+        KdTree::memory_bytes_for(count) + (count * payload) as u64
+    }
+
+    /// BLAKE3 digest of all that influences an estimate: kind, emitted count and photons.
+    pub fn digest(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(b"gatherlight photon map 1");
+        hasher.update(&[self.kind as u8, u8::from(self.has_directions())]);
+        hasher.update(&self.emitted_count.to_le_bytes());
+        hasher.update(&(self.stored_count() as u64).to_le_bytes());
+        for axis in 0..3 {
+            hash_words(&mut hasher, self.tree.coordinates(axis), |v| v.to_le_bytes());
+        }
+        hash_words(&mut hasher, &self.powers, |v| v.to_le_bytes());
+        hash_words(&mut hasher, &self.normals, |v| v.to_le_bytes());
+        hash_words(&mut hasher, self.directions.as_deref().unwrap_or(&[]), |v| v.to_le_bytes());
+        *hasher.finalize().as_bytes()
+    }
+
+    /// Allocates the cache of [`Self::irradiance_at_photon`], 4 bytes a photon.
+    pub fn enable_irradiance_cache(&mut self) {
+        if self.irradiance.is_none() {
+            self.irradiance = Some((0..self.stored_count()).map(|_| AtomicU32::new(0)).collect());
+        }
+    }
+
+    /// Irradiance at photon `index` on its side of the surface (Christensen 1999, "precomputed irradiance"), computed when
+    /// first asked for and remembered if the cache is enabled.
+    ///
+    /// The value is rounded to RGBE either way, so that it does not depend on the cache. All calls on one map must pass
+    /// equal `gather` when the cache is enabled: it holds one value a photon.
+    pub fn irradiance_at_photon(&self, index: u32, gather: &Gather, buffer: &mut NeighbourBuffer) -> Rgb {
+        let slot = self.irradiance.as_ref().map(|cache| &cache[index as usize]);
+        if let Some(slot) = slot {
+            let code = slot.load(Ordering::Relaxed);
+            if code != 0 {
+                return decode_rgbe(code);
+            }
+        }
+        let estimate = irradiance_into(self, self.position(index), self.normal(index), gather, buffer);
+        let code = match encode_rgbe(estimate.irradiance) {
+            0 => BLACK_IRRADIANCE,
+            code => code,
+        };
+        if let Some(slot) = slot {
+            // Another thread may do the same work and store the same bits.
+            slot.store(code, Ordering::Relaxed);
+        }
+        decode_rgbe(code)
+    }
+}
+
+fn permute<T: Copy + Send + Sync>(from: Vec<T>, order: &[u32]) -> Vec<T> {
+    assert_eq!(from.len(), order.len(), "photon arrays differ in length");
+    order.par_iter().with_min_len(1 << 14).map(|&i| from[i as usize]).collect()
+}
+
+fn hash_words<T: Copy, const N: usize>(hasher: &mut blake3::Hasher, words: &[T], bytes: impl Fn(T) -> [u8; N]) {
+    const BLOCK: usize = 4096;
+    let mut block = Vec::with_capacity(BLOCK * N);
+    for chunk in words.chunks(BLOCK) {
+        block.clear();
+        chunk.iter().for_each(|&w| block.extend_from_slice(&bytes(w)));
+        hasher.update(&block);
+    }
+}
+
+#[cfg(test)]
+mod tests;
