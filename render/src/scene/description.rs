@@ -36,6 +36,10 @@ pub struct InstanceDescription {
     pub name: String,
 }
 
+/// Stands for KHR_materials_ior's special value 0, with which the Fresnel reflectance is 1 at every angle, and bounds
+/// all indices of refraction: ((n − 1)/(n + 1))² is 1 − 4e-6.
+pub const IOR_FULL_REFLECTION: f32 = 1.0e6;
+
 /// glTF metallic-roughness with the extensions the renderer supports. Factors are linear and already clamped.
 #[derive(Clone, Debug)]
 pub struct MaterialDescription {
@@ -69,7 +73,7 @@ pub struct MaterialDescription {
     pub transmission: f32,
     /// Red: transmission.
     pub transmission_texture: Option<TextureRef>,
-    /// Index of refraction ≥ 1 (KHR_materials_ior).
+    /// Index of refraction (KHR_materials_ior), from 1 to [`IOR_FULL_REFLECTION`].
     pub ior: f32,
     /// The surface bounds a solid refracting body (KHR_materials_volume thickness > 0).
     pub volume: bool,
@@ -150,7 +154,7 @@ impl MaterialDescription {
 pub struct TextureRef {
     /// Index into [`SceneDescription::textures`].
     pub texture: usize,
-    /// Texture coordinate set, 0 or 1.
+    /// Which of [`Mesh::uvs`]. Not always TEXCOORD_n of the file: the importer bakes KHR_texture_transform in.
     pub uv_set: usize,
 }
 
