@@ -7,8 +7,10 @@
 //!
 //! What they report is in [`types`].
 
+pub mod cli;
 pub mod client;
 pub mod embedded;
+pub mod report;
 pub mod server;
 pub mod types;
 

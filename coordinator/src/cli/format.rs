@@ -1,0 +1,103 @@
+//! Numbers, times and tables as people read them.
+
+use std::time::Duration;
+
+/// 1234567.0 → `1.23 M`; three digits, factors of a thousand.
+pub(crate) fn count(value: f64) -> String {
+    scaled(value, 1000.0, &["", " k", " M", " G", " T", " P"])
+}
+
+/// 1536.0 → `1.50 KiB`.
+pub(crate) fn bytes(value: u64) -> String {
+    scaled(value as f64, 1024.0, &[" B", " KiB", " MiB", " GiB", " TiB", " PiB"])
+}
+
+fn scaled(mut value: f64, factor: f64, units: &[&str]) -> String {
+    if !value.is_finite() {
+        return "?".into();
+    }
+    let mut unit = 0;
+    // 999.5 would be written 1000.
+    while value.abs() >= 999.5 && unit + 1 < units.len() {
+        value /= factor;
+        unit += 1;
+    }
+    let digits = match value.abs() {
+        _ if unit == 0 && value.fract() == 0.0 => 0,
+        v if v < 9.995 => 2,
+        v if v < 99.95 => 1,
+        _ => 0,
+    };
+    format!("{value:.digits$}{}", units.get(unit).unwrap_or(&""))
+}
+
+/// 1234567 → `1,234,567`.
+pub(crate) fn grouped(value: u64) -> String {
+    let digits = value.to_string();
+    let mut text = String::new();
+    for (i, d) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(d);
+    }
+    text
+}
+
+/// `0.42 s`, `12.3 s`, `2 min 05 s`, `3 h 07 min`, `2 d 04 h`.
+pub(crate) fn duration(d: Duration) -> String {
+    let s = d.as_secs_f64();
+    let whole = s.round() as u64;
+    match whole {
+        _ if s < 9.995 => format!("{s:.2} s"),
+        _ if s < 59.95 => format!("{s:.1} s"),
+        0..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        3600..86_400 => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+        _ => format!("{} d {:02} h", whole / 86_400, whole % 86_400 / 3600),
+    }
+}
+
+/// Columns aligned at the left, two spaces apart, without trailing spaces; `header` first.
+pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+    let header: Vec<String> = header.iter().map(|h| h.to_string()).collect();
+    let lines = || std::iter::once(&header).chain(rows);
+    let columns = header.len();
+    let width = |c: usize| lines().filter_map(|l| l.get(c)).map(|t| t.chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let mut text = String::new();
+    for line in lines() {
+        let cells: Vec<String> = line.iter().zip(&widths).map(|(t, w)| format!("{t:<w$}")).collect();
+        text.push_str(cells.join("  ").trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        let counts = [0.0, 7.0, 7.5, 999.0, 999.6, 12_345.0, 1.0e6, 1.234e12].map(count);
+        assert_eq!(counts, ["0", "7", "7.50", "999", "1.00 k", "12.3 k", "1.00 M", "1.23 T"]);
+        assert_eq!(count(f64::NAN), "?");
+        assert_eq!([0, 1023, 1536, 5 << 30].map(bytes), ["0 B", "1.00 KiB", "1.50 KiB", "5.00 GiB"]);
+        assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
+    }
+
+    #[test]
+    fn durations_read_well() {
+        let d = |s: f64| duration(Duration::from_secs_f64(s));
+        assert_eq!(
+            [d(0.4217), d(12.34), d(59.96), d(125.0), d(11_240.0), d(200_000.0)],
+            ["0.42 s", "12.3 s", "1 min 00 s", "2 min 05 s", "3 h 07 min", "2 d 07 h"]
+        );
+    }
+
+    #[test]
+    fn tables_align() {
+        let rows = vec![vec!["a".to_string(), "ß…".into()], vec!["bcd".into(), "x".into()]];
+        assert_eq!(table(&["id", "name"], &rows), "id   name\na    ß…\nbcd  x\n");
+    }
+}

@@ -1,0 +1,50 @@
+//! `gatherlight jobs`: what a coordinator has to do and has done.
+
+use super::connection::ConnectionArgs;
+use super::error::CliResult;
+use super::format::{duration, table};
+use super::{json, print_json, print_result};
+use crate::types::{JobProgress, JobState};
+use clap::Args;
+
+const EXAMPLES: &str = "\
+Examples:
+  gatherlight jobs --coordinator http://host:7420
+  gatherlight jobs --json | jq -r '.[] | select(.state == \"failed\") | .id'";
+
+/// List the jobs of a coordinator, oldest first
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct JobsArgs {
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    /// Print the list as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &JobsArgs) -> CliResult {
+    let jobs = args.connection.run(|client| async move { Ok(client.list().await?) })?;
+    if args.json {
+        print_json(&jobs.iter().map(json::job).collect());
+    } else if jobs.is_empty() {
+        print_result("no jobs");
+    } else {
+        let header = ["ID", "NAME", "STATE", "DONE", "WORKERS", "TIME"];
+        print_result(&table(&header, &jobs.iter().map(row).collect::<Vec<_>>()));
+    }
+    Ok(())
+}
+
+fn row(p: &JobProgress) -> Vec<String> {
+    let state = match &p.state {
+        JobState::Emission(map) | JobState::Merge(map) => format!("{} {}", p.state.name(), map.name()),
+        JobState::Failed(reason) => format!("failed: {reason}"),
+        other => other.name().into(),
+    };
+    let done = match p.total {
+        0 => String::new(),
+        total => format!("{:.0} %", 100.0 * p.done as f64 / total as f64),
+    };
+    vec![p.id.to_string(), p.name.clone(), state, done, p.workers.to_string(), duration(p.elapsed)]
+}

@@ -1,0 +1,105 @@
+//! The command line `gatherlight`: one file a subcommand.
+//!
+//! Results go to stdout, progress, notes and errors to stderr. Exit codes: 0 done, 1 the work failed, 2 wrong usage,
+//! 130 interrupted.
+
+mod cancel;
+mod compare;
+mod completions;
+mod connection;
+mod error;
+mod fetch;
+pub(crate) mod format;
+mod jobs;
+mod json;
+mod output;
+mod plan;
+mod preflight;
+mod progress;
+mod render;
+mod scene;
+mod serve;
+mod settings;
+mod submit;
+mod watch;
+mod workers;
+
+use clap::{Parser, Subcommand};
+use std::io::Write;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+const EXAMPLES: &str = "\
+Examples:
+  gatherlight render scene.glb -o image.exr              render on this machine
+  gatherlight render scene.glb -o image.png --samples 8  a quick look, with a preview
+  gatherlight plan scene.glb                             what would be computed, and why
+  gatherlight compare image.exr reference.exr            how far the image is from another
+  gatherlight serve --listen 0.0.0.0:7420                a coordinator for a cluster
+  gatherlight submit scene.glb -o image.exr --coordinator http://host:7420
+
+Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.
+RUST_LOG (error, warn, info, debug, trace) sets what is logged on stderr.";
+
+/// Renders glTF scenes by photon mapping, on this machine or on a cluster
+#[derive(Parser, Debug)]
+#[command(name = "gatherlight", version, after_help = EXAMPLES, arg_required_else_help = true, max_term_width = 100)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    Render(render::RenderArgs),
+    Plan(plan::PlanArgs),
+    Compare(compare::CompareArgs),
+    Serve(serve::ServeArgs),
+    Submit(submit::SubmitArgs),
+    Jobs(jobs::JobsArgs),
+    Watch(watch::WatchArgs),
+    Fetch(fetch::FetchArgs),
+    Cancel(cancel::CancelArgs),
+    Workers(workers::WorkersArgs),
+    Completions(completions::CompletionsArgs),
+}
+
+/// Reads the command line and does what it says.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let result = match cli.command {
+        Command::Render(args) => render::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Serve(args) => serve::run(&args),
+        Command::Submit(args) => submit::run(&args),
+        Command::Jobs(args) => jobs::run(&args),
+        Command::Watch(args) => watch::run(&args),
+        Command::Fetch(args) => fetch::run(&args),
+        Command::Cancel(args) => cancel::run(&args),
+        Command::Workers(args) => workers::run(&args),
+        Command::Completions(args) => completions::run(&args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            if !matches!(error, error::CliError::Interrupted) {
+                eprintln!("error: {error}");
+            }
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// Prints a result on stdout; a reader that has gone away is no error.
+fn print_result(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
+}
+
+/// Prints a JSON result on stdout.
+fn print_json(value: &serde_json::Value) {
+    print_result(&serde_json::to_string_pretty(value).unwrap_or_default());
+}

@@ -1,0 +1,46 @@
+//! `gatherlight plan`: what a render would do, without doing it.
+
+use super::error::CliResult;
+use super::preflight::Preflight;
+use super::scene::SceneArgs;
+use super::{print_json, print_result};
+use clap::Args;
+use gatherlight_render::export::metadata::settings_text;
+use serde_json::json;
+
+const EXAMPLES: &str = "\
+Examples:
+  gatherlight plan cornell.glb
+  gatherlight plan cornell.glb --photons 10M --json";
+
+/// Show what a render would compute and what it would leave out, and why
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct PlanArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Treat warnings as errors: no light, no camera, unsupported features
+    #[arg(long)]
+    strict: bool,
+    /// Print the plan as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &PlanArgs) -> CliResult {
+    let (bundle, settings) = args.scene.load()?;
+    let preflight = Preflight::new(&bundle, &settings)?;
+    preflight.report_warnings(args.strict)?;
+    if args.json {
+        print_json(&json!({
+            "scene": bundle.name,
+            "scene_digest": preflight.digest,
+            "settings": settings_text(&settings),
+            "plan": preflight.json,
+            "warnings": preflight.warnings,
+        }));
+    } else {
+        print_result(&format!("{} {}\n{}", bundle.name, settings_text(&settings), preflight.plan.join("\n")));
+    }
+    Ok(())
+}

@@ -1,0 +1,76 @@
+//! `gatherlight render`: a whole job on this machine.
+
+use super::error::{CliError, CliResult};
+use super::output::OutputArgs;
+use super::preflight::Preflight;
+use super::progress::{JobView, MessageArgs};
+use super::scene::SceneArgs;
+use super::{print_json, print_result};
+use crate::embedded;
+use crate::report::{self, Summary};
+use clap::Args;
+use gatherlight_render::export;
+
+const EXAMPLES: &str = "\
+Examples:
+  gatherlight render cornell.glb -o cornell.exr
+  gatherlight render cornell.glb -o cornell.png --width 256 --samples 8 --photons 100k
+  gatherlight render cornell.glb -o truth.exr --method path --samples 4096
+  gatherlight render cornell.glb -o layers.exr --layers direct,indirect,caustic,variance,samples";
+
+/// Render a scene on this machine
+///
+/// The image is a function of the scene and the options under \"Image\" and \"Photon mapping\": the same bits for any
+/// number of threads, here or on a cluster.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct RenderArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Compute threads; 0: one per core
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Treat warnings as errors: no light, no camera, unsupported features
+    #[arg(long)]
+    strict: bool,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+/// Largest number of compute threads.
+const MAX_THREADS: usize = 4096;
+
+pub(super) fn run(args: &RenderArgs) -> CliResult {
+    if args.threads > MAX_THREADS {
+        return Err(CliError::Usage(format!("--threads: {} is outside 0 … {MAX_THREADS}", args.threads)));
+    }
+    let output = args.output.check()?;
+    let (bundle, settings) = args.scene.load()?;
+    let preflight = Preflight::new(&bundle, &settings)?;
+    preflight.report_warnings(args.strict)?;
+    preflight.plan.iter().for_each(|line| args.messages.note(line));
+
+    let config = embedded::Config { threads: args.threads, ..Default::default() };
+    let mut view = JobView::new(args.messages.style());
+    let result = embedded::render(&bundle, &settings, &config, |p| view.update(p));
+    view.end();
+    let result = result?;
+
+    let meta = report::image_metadata(preflight.digest, &settings, &result.stats, preflight.plan);
+    output.write(&export::encode(&result.film, &meta)?)?;
+    let summary = Summary {
+        noise: report::noise(&result.film),
+        settings,
+        stats: result.stats,
+        elapsed: result.elapsed,
+        files: output.names(),
+    };
+    if args.messages.json {
+        print_json(&summary.json())
+    } else {
+        print_result(&summary.text())
+    }
+    Ok(())
+}

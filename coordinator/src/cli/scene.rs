@@ -1,0 +1,125 @@
+//! Reading a scene and its external files from disk.
+
+use super::error::CliError;
+use super::settings::{SettingsArgs, camera_aspect};
+use clap::Args;
+use gatherlight_render::import::{self, SceneBundle};
+use gatherlight_render::settings::RenderSettings;
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+/// Largest scene file or external file that is read, in bytes.
+const MAX_FILE_BYTES: u64 = 8 << 30;
+
+/// The scene and what determines its image.
+#[derive(Args, Clone, Debug)]
+pub(super) struct SceneArgs {
+    /// glTF 2.0 scene, .glb or .gltf
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    #[command(flatten)]
+    settings: SettingsArgs,
+}
+
+impl SceneArgs {
+    /// Reads the scene with every file it names, and checks the settings.
+    ///
+    /// # Errors
+    /// When a file cannot be read (with its path), or a setting makes no sense.
+    pub(super) fn load(&self) -> Result<(SceneBundle, RenderSettings), CliError> {
+        // Nonsense in the options is found before a large scene is read.
+        self.settings.settings(1.0)?;
+        let bundle = read_bundle(&self.scene)?;
+        let aspect = if self.settings.needs_aspect() {
+            let description = import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?;
+            camera_aspect(&description.cameras, &self.settings.camera())
+        } else {
+            1.0
+        };
+        let settings = self.settings.settings(aspect)?;
+        Ok((bundle, settings))
+    }
+}
+
+/// Reads the scene at `path` with the external files it names, relative to its directory.
+///
+/// # Errors
+/// When a file cannot be read, with its path and what named it.
+pub(super) fn read_bundle(path: &Path) -> Result<SceneBundle, CliError> {
+    let root = read(path, None)?;
+    let name = path.file_name().map_or_else(|| path.to_string_lossy(), |n| n.to_string_lossy()).into_owned();
+    let uris = import::external_uris(&name, &root).map_err(|e| CliError::Failed(e.to_string()))?;
+    let directory = path.parent().unwrap_or(Path::new(""));
+    let mut externals = Vec::with_capacity(uris.len());
+    for uri in uris {
+        let relative = relative_path(&uri).map_err(|why| CliError::Failed(format!("{name}: {why}")))?;
+        let bytes = read(&directory.join(relative), Some(&name))?;
+        externals.push((uri, bytes));
+    }
+    Ok(SceneBundle { name, root, externals })
+}
+
+fn read(path: &Path, named_by: Option<&str>) -> Result<Arc<[u8]>, CliError> {
+    let shown = path.display();
+    let by = named_by.map(|n| format!(", which {n} needs")).unwrap_or_default();
+    let fail = |what: String| match named_by {
+        None => CliError::Usage(what),
+        Some(_) => CliError::Failed(what),
+    };
+    let unreadable = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::NotFound => fail(format!("there is no file {shown}{by}")),
+        _ => fail(format!("cannot read {shown}{by}: {e}")),
+    };
+    let meta = std::fs::metadata(path).map_err(unreadable)?;
+    if meta.is_dir() {
+        return Err(fail(format!("{shown}{by} is a directory; name the .glb or .gltf file in it")));
+    }
+    if meta.len() > MAX_FILE_BYTES {
+        let limit = format!("over the limit of {MAX_FILE_BYTES} (MAX_FILE_BYTES, fixed at build time)");
+        return Err(fail(format!("{shown}{by} has {} bytes, {limit}", meta.len())));
+    }
+    std::fs::read(path).map(Arc::from).map_err(unreadable)
+}
+
+/// The path a URI means, relative to the scene's directory.
+fn relative_path(uri: &str) -> Result<PathBuf, String> {
+    let scheme = uri.split_once(':').is_some_and(|(s, _)| s.len() > 1 && s.bytes().all(|b| b.is_ascii_alphanumeric()));
+    if scheme {
+        return Err(format!("the file {uri:?} is not on this machine; only paths relative to the scene are read"));
+    }
+    let decoded = percent_decode(uri).ok_or_else(|| format!("{uri:?} is no valid URI"))?;
+    let path = PathBuf::from(decoded);
+    let relative = path.components().all(|c| !matches!(c, Component::RootDir | Component::Prefix(_)));
+    if relative { Ok(path) } else { Err(format!("the path {uri:?} is absolute; make it relative to the scene")) }
+}
+
+fn percent_decode(uri: &str) -> Option<String> {
+    let (bytes, mut out, mut i) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
+    while let Some(&b) = bytes.get(i) {
+        if b == b'%' {
+            let hex = std::str::from_utf8(bytes.get(i + 1..i + 3)?).ok()?;
+            out.push(u8::from_str_radix(hex, 16).ok()?);
+            i += 3;
+        } else {
+            out.push(b);
+            i += 1;
+        }
+    }
+    let text = String::from_utf8(out).ok()?;
+    (!text.contains('\0')).then_some(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uris_become_relative_paths() {
+        assert_eq!(relative_path("a%20b/c.bin").unwrap(), Path::new("a b/c.bin"));
+        assert_eq!(relative_path("../shared/x.png").unwrap(), Path::new("../shared/x.png"));
+        assert_eq!(relative_path("caf%C3%A9.bin").unwrap(), Path::new("café.bin"));
+        for bad in ["http://host/x.bin", "file:///etc/passwd", "/etc/passwd", "%2Fetc/passwd", "%zz", "%4", "a%00b"] {
+            assert!(relative_path(bad).is_err(), "{bad}");
+        }
+    }
+}

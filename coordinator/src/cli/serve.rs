@@ -1,0 +1,78 @@
+//! `gatherlight serve`: a coordinator for a cluster.
+
+use super::connection::runtime;
+use super::error::CliResult;
+use super::settings::count64;
+use super::{print_json, print_result};
+use crate::server::{ServeConfig, Server};
+use clap::Args;
+use serde_json::json;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+Workers join with `gatherlight-worker --coordinator URL`, clients speak to it with submit, jobs, watch, fetch, cancel
+and workers. There is no authentication: listen only where every machine that can connect may submit work.
+
+Examples:
+  gatherlight serve
+  gatherlight serve --listen 0.0.0.0:7420 --store /var/lib/gatherlight";
+
+/// Run a coordinator that workers join and clients submit jobs to
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct ServeArgs {
+    /// Address to listen on; port 0 takes a free one, which is printed
+    #[arg(long, value_name = "ADDR", env = "GATHERLIGHT_LISTEN", default_value = "127.0.0.1:7420")]
+    listen: SocketAddr,
+    /// Directory of scenes and finished images; made if missing
+    #[arg(long, value_name = "DIR", env = "GATHERLIGHT_STORE", default_value = "gatherlight-store")]
+    store: PathBuf,
+    /// Threads for merging photons and encoding images; 0: one per core
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Most bytes kept in the store, e.g. 64G
+    #[arg(long, value_name = "BYTES", value_parser = count64, default_value = "64G")]
+    max_store: u64,
+    /// Most jobs that have not ended
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    max_jobs: usize,
+    /// Print the address as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &ServeArgs) -> CliResult {
+    let config = ServeConfig {
+        threads: args.threads,
+        max_store_bytes: args.max_store,
+        max_live_jobs: args.max_jobs,
+        ..ServeConfig::new(args.listen, args.store.clone())
+    };
+    runtime()?.block_on(async {
+        let server = Server::bind(config).await?;
+        let url = format!("http://{}", server.local_addr());
+        if args.json {
+            print_json(&json!({ "listening": url }));
+        } else {
+            print_result(&format!("listening on {url}"));
+        }
+        Ok(server.run(shutdown()).await?)
+    })
+}
+
+/// Ready at Ctrl-C or, on Unix, SIGTERM (what `docker stop` sends).
+async fn shutdown() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                () = super::watch::interrupted() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    super::watch::interrupted().await;
+}

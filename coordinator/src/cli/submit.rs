@@ -1,0 +1,129 @@
+//! `gatherlight submit`: renders on a cluster.
+
+use super::connection::ConnectionArgs;
+use super::error::{CliError, CliResult};
+use super::fetch::fetch_to;
+use super::format::bytes;
+use super::output::{Output, OutputArgs};
+use super::preflight::Preflight;
+use super::progress::{MessageArgs, Style};
+use super::scene::SceneArgs;
+use super::watch::{follow, interrupted, outcome};
+use super::{json, print_json, print_result};
+use crate::client::{Client, SubmitRequest};
+use crate::report::Summary;
+use crate::types::JobId;
+use clap::Args;
+use gatherlight_render::settings::RenderSettings;
+use serde_json::{Value, json};
+
+const EXAMPLES: &str = "\
+Ctrl-C leaves the job running and says how to return to it.
+
+Examples:
+  gatherlight submit cornell.glb -o cornell.exr --coordinator http://host:7420
+  gatherlight submit cornell.glb -o cornell.exr --samples 1k --detach";
+
+/// Render a scene on a cluster
+///
+/// The image has the same bits as the one `gatherlight render` makes with the same options.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct SubmitArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    /// Submit, print the job's id and return; `gatherlight fetch` gets the image later
+    #[arg(long)]
+    detach: bool,
+    /// Name in listings [default: the scene file's]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Treat warnings as errors: no light, no camera, unsupported features
+    #[arg(long)]
+    strict: bool,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+pub(super) fn run(args: &SubmitArgs) -> CliResult {
+    let output = args.output.check()?;
+    let (bundle, settings) = args.scene.load()?;
+    let preflight = Preflight::new(&bundle, &settings)?;
+    preflight.report_warnings(args.strict)?;
+    preflight.plan.iter().for_each(|line| args.messages.note(line));
+    let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
+    let request = SubmitRequest { name, bundle, settings };
+    args.connection.run(|client| submit(client, args, request, output))
+}
+
+async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, output: Output) -> CliResult {
+    let bars = args.messages.style() == Style::Bars;
+    let upload = |sent, total| {
+        if bars {
+            eprint!("\ruploading the scene: {} of {} ", bytes(sent), bytes(total));
+        }
+    };
+    let id = tokio::select! {
+        id = client.submit(&request, upload) => id?,
+        () = interrupted() => return Err(CliError::Interrupted),
+    };
+    if bars {
+        eprintln!("\r\x1b[Kjob {id}");
+    }
+    if args.detach {
+        detached(args, &client, id, &output);
+        return Ok(());
+    }
+    let finish = async {
+        let last = follow(&client, id, args.messages).await?;
+        outcome(&last)?;
+        let digest = fetch_to(client.clone(), id, &output).await?;
+        Ok::<_, CliError>((last, digest))
+    };
+    let (last, digest) = tokio::select! {
+        done = finish => done?,
+        () = interrupted() => {
+            eprintln!("\n{}", how_to_return(client.url(), id, &output));
+            return Err(CliError::Interrupted);
+        }
+    };
+    let summary = summary(request.settings, &last, &output);
+    if args.messages.json {
+        print_json(&with_job(summary.json(), json::job(&last), &digest));
+    } else {
+        print_result(&summary.text());
+    }
+    Ok(())
+}
+
+fn summary(settings: RenderSettings, last: &crate::types::JobProgress, output: &Output) -> Summary {
+    Summary { settings, stats: last.stats.clone(), elapsed: last.elapsed, noise: None, files: output.names() }
+}
+
+fn with_job(mut summary: Value, job: Value, digest: &str) -> Value {
+    summary["id"] = job["id"].clone();
+    summary["digest"] = json!(digest);
+    summary
+}
+
+fn detached(args: &SubmitArgs, client: &Client, id: JobId, output: &Output) {
+    if args.messages.json {
+        print_json(&json!({ "id": id.to_string(), "coordinator": client.url() }));
+    } else {
+        print_result(&id.to_string());
+        args.messages.note(&how_to_return(client.url(), id, output));
+    }
+}
+
+/// The commands that lead back to a running job.
+fn how_to_return(url: &str, id: JobId, output: &Output) -> String {
+    let out = output.png.as_ref().unwrap_or(&output.exr).display();
+    format!(
+        "job {id} goes on; to return to it:\n  gatherlight watch {id} --coordinator {url}\n  \
+         gatherlight fetch {id} -o {out} --coordinator {url}\n  gatherlight cancel {id} --coordinator {url}"
+    )
+}

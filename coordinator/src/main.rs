@@ -1,0 +1,5 @@
+//! The command line `gatherlight`.
+
+fn main() -> std::process::ExitCode {
+    gatherlight::cli::main()
+}

@@ -1,0 +1,176 @@
+//! What a finished job says about itself: the attributes of its image and the summary a person or a script reads.
+
+use crate::types::{JobStats, MapStats};
+use gatherlight_render::export::{ImageMetadata, MapMetadata};
+use gatherlight_render::film::Film;
+use gatherlight_render::settings::{Layer, Method, RenderSettings};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+/// The attributes of a finished image: the same wherever the job ran, because nothing in them depends on where or how
+/// fast it did.
+pub fn image_metadata(
+    scene_digest: String,
+    settings: &RenderSettings,
+    stats: &JobStats,
+    plan: Vec<String>,
+) -> ImageMetadata {
+    let map = |m: &MapStats| MapMetadata {
+        kind: m.kind,
+        emitted_count: m.emitted_count,
+        stored_count: m.stored_count,
+        k: Some(settings.k),
+        max_gather_radius: stats.gather_radius,
+    };
+    ImageMetadata {
+        scene_digest,
+        settings: settings.clone(),
+        maps: stats.maps.iter().map(map).collect(),
+        plan,
+        non_finite: stats.non_finite,
+    }
+}
+
+/// The noise of an image, from the variance its layers carry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// √mean(variance / samples) over pixels and channels, in radiance.
+    pub standard_error: f64,
+    /// The same divided by the image's mean; infinite for a black image.
+    pub relative: f64,
+}
+
+/// Root-mean-square standard error of the pixels; `None` unless the film has the layers `variance` and `samples`.
+pub fn noise(film: &Film) -> Option<Noise> {
+    let variance = film.channels.offset(Layer::Variance)?;
+    let samples = film.channels.offset(Layer::Samples)?;
+    let (mut sum, mut mean, mut values) = (0.0f64, 0.0f64, 0.0f64);
+    for pixel in film.pixels.chunks_exact(film.channels.len()) {
+        let n = f64::from(pixel[samples]).max(1.0);
+        for c in 0..3 {
+            let (v, color) = (f64::from(pixel[variance + c]), f64::from(pixel[c]));
+            if v.is_finite() && color.is_finite() {
+                sum += v.max(0.0) / n;
+                mean += color;
+                values += 1.0;
+            }
+        }
+    }
+    (values > 0.0).then(|| {
+        let standard_error = (sum / values).sqrt();
+        Noise { standard_error, relative: standard_error / (mean / values).abs() }
+    })
+}
+
+/// What `render` and `submit` report at the end.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// The settings, defaults filled in.
+    pub settings: RenderSettings,
+    /// Counts.
+    pub stats: JobStats,
+    /// Wall time.
+    pub elapsed: Duration,
+    /// Noise, where it is known.
+    pub noise: Option<Noise>,
+    /// Files written, the EXR first.
+    pub files: Vec<String>,
+}
+
+impl Summary {
+    /// For people: two or three lines.
+    pub fn text(&self) -> String {
+        use crate::cli::format::{count, duration, grouped};
+        let (s, t) = (&self.settings, &self.stats);
+        let mut text = format!(
+            "{}: {} × {}, {}, {} samples in {}",
+            self.files.join(", "),
+            s.width,
+            s.height,
+            s.method.name(),
+            s.samples,
+            duration(self.elapsed)
+        );
+        for m in &t.maps {
+            text.push_str(&format!(
+                "\n{} map: {} photons stored of {} paths emitted",
+                m.kind.name(),
+                grouped(m.stored_count),
+                grouped(m.emitted_count)
+            ));
+        }
+        let rate = t.rays as f64 / self.elapsed.as_secs_f64().max(1e-9);
+        text.push_str(&format!("\n{} rays, {}/s", count(t.rays as f64), count(rate)));
+        if let (Some(radius), Method::Photon) = (t.gather_radius, s.method) {
+            text.push_str(&format!(" · gather radius at most {radius}, k {}", t.k));
+        }
+        if let Some(n) = self.noise {
+            text.push_str(&format!(" · standard error {:.2} % of the mean", 100.0 * n.relative));
+        }
+        if t.non_finite > 0 {
+            text.push_str(&format!(" · {} samples were not finite and left out", grouped(t.non_finite)));
+        }
+        text
+    }
+
+    /// For scripts.
+    pub fn json(&self) -> Value {
+        let (s, t) = (&self.settings, &self.stats);
+        json!({
+            "files": self.files,
+            "method": s.method.name(),
+            "width": s.width,
+            "height": s.height,
+            "samples": s.samples,
+            "seed": s.seed,
+            "elapsed_s": self.elapsed.as_secs_f64(),
+            "standard_error": self.noise.map(|n| n.standard_error),
+            "relative_standard_error": self.noise.map(|n| n.relative).filter(|r| r.is_finite()),
+            "stats": stats_json(t),
+        })
+    }
+}
+
+/// Counts for scripts; units are the last part of a name.
+pub fn stats_json(t: &JobStats) -> Value {
+    let maps: Vec<Value> = t
+        .maps
+        .iter()
+        .map(|m| {
+            json!({
+                "map": m.kind.name(),
+                "emitted_count": m.emitted_count,
+                "emitted_total": m.emitted_total,
+                "stored_count": m.stored_count,
+                "bytes": m.bytes,
+            })
+        })
+        .collect();
+    json!({
+        "maps": maps,
+        "rays": t.rays,
+        "non_finite": t.non_finite,
+        "gather_radius": t.gather_radius,
+        "k": t.k,
+        "busy_s": t.busy.as_secs_f64(),
+        "retried_leases": t.retried_leases,
+        "result_bytes": t.result_bytes,
+        "broadcast_bytes": t.broadcast_bytes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gatherlight_render::film::ChannelSet;
+
+    #[test]
+    fn noise_is_the_root_mean_square_standard_error() {
+        let mut film = Film::new(2, 1, ChannelSet::new(&[Layer::Variance, Layer::Samples]));
+        film.pixels = vec![2.0, 2.0, 2.0, 1.0, 4.0, 4.0, 4.0, 16.0, 2.0, 2.0, 2.0, 1.0, 12.0, 12.0, 12.0, 16.0];
+        // Mean of variance / samples: (4/16 + 12/16) / 2 = 1/2; mean 2.
+        let n = noise(&film).unwrap();
+        assert!((n.standard_error - 0.5f64.sqrt()).abs() < 1e-12 && (n.relative - 0.5f64.sqrt() / 2.0).abs() < 1e-12);
+        assert_eq!(noise(&Film::new(2, 1, ChannelSet::new(&[Layer::Variance]))), None);
+    }
+}
