@@ -19,7 +19,7 @@ pub(super) struct CancelArgs {
     #[command(flatten)]
     connection: ConnectionArgs,
     /// Print the job as JSON on stdout
-    #[arg(long)]
+    #[arg(long, help_heading = "Messages")]
     json: bool,
 }
 

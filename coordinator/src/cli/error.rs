@@ -3,7 +3,7 @@
 use crate::client::ClientError;
 use crate::embedded::RenderError;
 use crate::server::ServeError;
-use gatherlight_render::error::{ImageError, SettingsError};
+use gatherlight_render::error::{ImageError, SceneError, SettingsError};
 use gatherlight_render::job::JobError;
 
 /// A failed command. Its text says what was wrong, where, and what to do.
@@ -44,6 +44,10 @@ impl From<JobError> for CliError {
     fn from(e: JobError) -> Self {
         match e {
             JobError::Settings(e) => e.into(),
+            // A camera that is not there is a wrong option, though only the scene can tell.
+            JobError::Scene(SceneError::Invalid { place, message }) if place.starts_with("--") => {
+                CliError::Usage(format!("{place}: {message}"))
+            }
             JobError::Scene(e) => CliError::Failed(e.to_string()),
         }
     }

@@ -19,7 +19,7 @@ pub(super) struct JobsArgs {
     #[command(flatten)]
     connection: ConnectionArgs,
     /// Print the list as JSON on stdout
-    #[arg(long)]
+    #[arg(long, help_heading = "Messages")]
     json: bool,
 }
 

@@ -23,7 +23,7 @@ pub(super) fn job(p: &JobProgress) -> Value {
         "state_elapsed_s": p.state_elapsed.as_secs_f64(),
         "elapsed_s": p.elapsed.as_secs_f64(),
         "workers": p.workers,
-        "result_digest": p.result_digest,
+        "result_digest": p.result_digest.as_ref().map(ToString::to_string),
         "stats": stats_json(&p.stats),
     })
 }

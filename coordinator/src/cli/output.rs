@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Where the image goes.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Output")]
 pub(super) struct OutputArgs {
     /// Image to write; NAME.png writes NAME.exr and a tone-mapped preview NAME.png beside it
     #[arg(short, long = "output", value_name = "OUT.exr")]

@@ -20,10 +20,10 @@ pub(super) struct PlanArgs {
     #[command(flatten)]
     scene: SceneArgs,
     /// Treat warnings as errors: no light, no camera, unsupported features
-    #[arg(long)]
+    #[arg(long, help_heading = "Run")]
     strict: bool,
     /// Print the plan as JSON on stdout
-    #[arg(long)]
+    #[arg(long, help_heading = "Messages")]
     json: bool,
 }
 

@@ -12,6 +12,9 @@ use clap::Args;
 use gatherlight_render::export;
 
 const EXAMPLES: &str = "\
+The scene and the options under Image and Photon mapping determine the image, bit for bit: whatever the number of
+threads, here or on a cluster.
+
 Examples:
   gatherlight render cornell.glb -o cornell.exr
   gatherlight render cornell.glb -o cornell.png --width 256 --samples 8 --photons 100k
@@ -19,9 +22,6 @@ Examples:
   gatherlight render cornell.glb -o layers.exr --layers direct,indirect,caustic,variance,samples";
 
 /// Render a scene on this machine
-///
-/// The image is a function of the scene and the options under \"Image\" and \"Photon mapping\": the same bits for any
-/// number of threads, here or on a cluster.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct RenderArgs {
@@ -30,10 +30,10 @@ pub(super) struct RenderArgs {
     #[command(flatten)]
     output: OutputArgs,
     /// Compute threads; 0: one per core
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Run")]
     threads: usize,
     /// Treat warnings as errors: no light, no camera, unsupported features
-    #[arg(long)]
+    #[arg(long, help_heading = "Run")]
     strict: bool,
     #[command(flatten)]
     messages: MessageArgs,

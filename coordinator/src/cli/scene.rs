@@ -28,7 +28,7 @@ impl SceneArgs {
     /// When a file cannot be read (with its path), or a setting makes no sense.
     pub(super) fn load(&self) -> Result<(SceneBundle, RenderSettings), CliError> {
         // Nonsense in the options is found before a large scene is read.
-        self.settings.settings(1.0)?;
+        self.settings.check()?;
         let bundle = read_bundle(&self.scene)?;
         let aspect = if self.settings.needs_aspect() {
             let description = import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?;

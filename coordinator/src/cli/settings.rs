@@ -96,6 +96,15 @@ impl SettingsArgs {
         self.width.is_none() || self.height.is_none()
     }
 
+    /// Checks what can be checked without the scene.
+    ///
+    /// # Errors
+    /// Names the first option that makes no sense and what is valid.
+    pub(super) fn check(&self) -> Result<(), CliError> {
+        // A side that follows from the camera may be anything yet.
+        self.sized(self.width.unwrap_or(1), self.height.unwrap_or(1)).map(drop)
+    }
+
     /// The settings, checked; `aspect` is the camera's width / height.
     ///
     /// # Errors
@@ -109,6 +118,10 @@ impl SettingsArgs {
             (None, Some(h)) => (across(h), h),
             (None, None) => (across(DEFAULT_HEIGHT), DEFAULT_HEIGHT),
         };
+        self.sized(width, height)
+    }
+
+    fn sized(&self, width: u32, height: u32) -> Result<RenderSettings, CliError> {
         let mut layers = self.layers.clone();
         layers.sort_unstable();
         let p = &self.photon;

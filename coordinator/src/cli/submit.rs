@@ -24,9 +24,7 @@ Examples:
   gatherlight submit cornell.glb -o cornell.exr --coordinator http://host:7420
   gatherlight submit cornell.glb -o cornell.exr --samples 1k --detach";
 
-/// Render a scene on a cluster
-///
-/// The image has the same bits as the one `gatherlight render` makes with the same options.
+/// Render a scene on a cluster; the image has the same bits as that of `render`
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct SubmitArgs {
@@ -37,13 +35,13 @@ pub(super) struct SubmitArgs {
     #[command(flatten)]
     connection: ConnectionArgs,
     /// Submit, print the job's id and return; `gatherlight fetch` gets the image later
-    #[arg(long)]
+    #[arg(long, help_heading = "Run")]
     detach: bool,
     /// Name in listings [default: the scene file's]
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help_heading = "Run")]
     name: Option<String>,
     /// Treat warnings as errors: no light, no camera, unsupported features
-    #[arg(long)]
+    #[arg(long, help_heading = "Run")]
     strict: bool,
     #[command(flatten)]
     messages: MessageArgs,
