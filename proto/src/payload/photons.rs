@@ -1,0 +1,135 @@
+//! Photon batches ↔ bytes.
+//!
+//! Layout, little-endian: `GLPB`, version u32, flags u32 (1: with directions), first path u64, end path u64, photons u64; then
+//! the photons (see [`super::columns`]). Order is kept.
+
+use super::columns::{self, Photons, ordered, packed_column};
+use super::header::Reader;
+use crate::error::WireError;
+use crate::limits::MAX_BATCH_PHOTONS;
+use bytes::Bytes;
+use gatherlight_render::photon::{EmissionRange, PhotonBatch};
+
+const MAGIC: [u8; 4] = *b"GLPB";
+const VERSION: u32 = 1;
+const HEADER_BYTES: usize = 36;
+const DIRECTIONS: u32 = 1;
+const WHAT: &str = "photon batch";
+
+impl Photons for PhotonBatch {
+    fn len(&self) -> usize {
+        self.positions.len()
+    }
+    fn has_directions(&self) -> bool {
+        self.directions.is_some()
+    }
+    fn read(&self, c: usize, first: usize, out: &mut [u32]) {
+        for (i, out) in (first..).zip(out) {
+            *out = match c {
+                0..=2 => ordered(self.positions[i][c]),
+                _ => packed_column(
+                    c,
+                    || self.powers[i],
+                    || self.normals[i],
+                    || self.directions.as_ref().map_or(0, |d| d[i]),
+                ),
+            };
+        }
+    }
+}
+
+/// Encodes a batch, in parallel on the current rayon pool. Its arrays must have equal lengths.
+pub fn encode_batch(batch: &PhotonBatch) -> Bytes {
+    let mut out = Vec::with_capacity(HEADER_BYTES);
+    out.extend_from_slice(&MAGIC);
+    out.extend_from_slice(&VERSION.to_le_bytes());
+    out.extend_from_slice(&(if batch.directions.is_some() { DIRECTIONS } else { 0 }).to_le_bytes());
+    out.extend_from_slice(&batch.range.first.to_le_bytes());
+    out.extend_from_slice(&batch.range.end.to_le_bytes());
+    out.extend_from_slice(&(batch.len() as u64).to_le_bytes());
+    columns::encode(batch, &mut out);
+    Bytes::from(out)
+}
+
+/// Decodes the batch of the paths `range`, with directions or not as `directions` says.
+///
+/// # Errors
+/// When the bytes are damaged, or are another batch than asked for, or hold more than [`MAX_BATCH_PHOTONS`]. Allocates at most
+/// about 60 times the bytes given.
+pub fn decode_batch(bytes: &[u8], range: EmissionRange, directions: bool) -> Result<PhotonBatch, WireError> {
+    let reader = Reader::new(WHAT, bytes);
+    reader.magic(MAGIC, VERSION)?;
+    reader.expect("the flag word", u32::from_le_bytes(reader.array()?), if directions { DIRECTIONS } else { 0 })?;
+    reader.expect("the first path", u64::from_le_bytes(reader.array()?), range.first)?;
+    reader.expect("the end path", u64::from_le_bytes(reader.array()?), range.end)?;
+    let count = u64::from_le_bytes(reader.array()?);
+    WireError::check_limit("photons of a batch", count, MAX_BATCH_PHOTONS, "MAX_BATCH_PHOTONS")?;
+    let arrays = columns::decode(WHAT, bytes, HEADER_BYTES, count, directions)?;
+    let [x, y, z] = &arrays.coordinates;
+    let positions = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]).collect();
+    let columns::Arrays { powers, normals, directions, .. } = arrays;
+    Ok(PhotonBatch { range, positions, powers, normals, directions })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::payload::fuzz;
+
+    const RANGE: EmissionRange = EmissionRange { first: 1 << 33, end: (1 << 33) + 5000 };
+
+    fn batch(n: usize, directions: bool) -> PhotonBatch {
+        let a = fuzz::photons(n, directions);
+        let positions = (0..n).map(|i| [a.coordinates[0][i], a.coordinates[1][i], a.coordinates[2][i]]).collect();
+        PhotonBatch { range: RANGE, positions, powers: a.powers, normals: a.normals, directions: a.directions }
+    }
+
+    #[test]
+    fn round_trips_bit_for_bit() {
+        for n in [0, 1, 63, 64, 65, 1000, 65_535, 65_536, 65_537, 140_000] {
+            for directions in [false, true] {
+                let b = batch(n, directions);
+                let decoded = decode_batch(&encode_batch(&b), RANGE, directions).unwrap();
+                let bits = |b: &PhotonBatch| b.positions.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
+                assert_eq!(bits(&decoded), bits(&b));
+                assert_eq!(decoded, b);
+            }
+        }
+    }
+
+    #[test]
+    fn damage_is_an_error_and_never_a_panic() {
+        let b = batch(700, true);
+        fuzz::damage(&encode_batch(&b), |bytes| decode_batch(bytes, RANGE, true).map(|d| assert_eq!(d, b)));
+    }
+
+    #[test]
+    fn hostile_bytes_with_right_checksums_are_errors_and_never_a_panic() {
+        let b = batch(700, true);
+        fuzz::forge(&encode_batch(&b), HEADER_BYTES, |bytes| decode_batch(bytes, RANGE, true).map(drop));
+    }
+
+    #[test]
+    fn another_batch_than_asked_for_is_an_error_that_says_so() {
+        let bytes = encode_batch(&batch(10, false));
+        let say = |range, directions| decode_batch(&bytes, range, directions).unwrap_err().to_string();
+        let other = EmissionRange { first: 0, end: 5000 };
+        assert_eq!(say(other, false), "photon batch: the first path is 8589934592, expected 0");
+        assert_eq!(say(RANGE, true), "photon batch: the flag word is 0, expected 1");
+        let mut huge = bytes.to_vec();
+        huge[28..36].copy_from_slice(&u64::MAX.to_le_bytes());
+        let message = decode_batch(&huge, RANGE, false).unwrap_err().to_string();
+        assert!(message.contains("over the limit of 33554432 (MAX_BATCH_PHOTONS)"), "{message}");
+        huge[28..36].copy_from_slice(&1_000_000u64.to_le_bytes());
+        let message = decode_batch(&huge, RANGE, false).unwrap_err().to_string();
+        assert!(message.contains("announces 1000000 photons in"), "{message}");
+    }
+
+    #[test]
+    fn a_position_that_is_not_finite_is_an_error() {
+        let mut b = batch(100, false);
+        b.positions[70][1] = f32::INFINITY;
+        let message = decode_batch(&encode_batch(&b), RANGE, false).unwrap_err().to_string();
+        assert_eq!(message, "photon batch: a position is not finite");
+    }
+}
