@@ -21,6 +21,7 @@ pub mod light;
 pub mod material;
 pub mod math;
 pub mod photon;
+pub mod plan;
 pub mod scene;
 pub mod settings;
 

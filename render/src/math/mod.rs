@@ -6,6 +6,7 @@ pub mod heuristic;
 pub mod ops;
 pub mod rgb;
 pub mod rng;
+pub mod roulette;
 pub mod sobol;
 pub mod warp;
 

@@ -1,5 +1,6 @@
 //! Photons: emission ranges, stored hits, batches, merging, the search structures and density estimates.
 
+pub mod aim;
 pub mod batch;
 pub mod estimate;
 pub mod grid;
@@ -10,6 +11,7 @@ pub mod merge;
 pub mod pack;
 pub mod query;
 pub mod range;
+pub mod trace;
 
 pub use batch::{MapKind, PhotonBatch};
 pub use map::{PhotonMap, PhotonMaps};

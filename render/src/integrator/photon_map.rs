@@ -1,0 +1,230 @@
+//! The gather pass of photon mapping (Jensen 1996, 2001; Christensen 1999).
+//!
+//! A camera path follows specular and glossy lobes; at every diffuse lobe it meets, light comes in three parts:
+//! direct light by next-event estimation (with MIS against the final-gather rays), focused light from the caustic map,
+//! and the rest by final-gather rays that read the global map's precomputed irradiance where they meet a diffuse lobe.
+//! Which term counts which paths: see [`super`]; every path is counted once, by lobe, without a roughness threshold.
+
+use super::direct::{LightDirection, light_pdf};
+use super::path::first_hit;
+use super::sample::{Part, Sample};
+use crate::geometry::{Ray, SurfacePoint};
+use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
+use crate::math::ops::INV_PI;
+use crate::math::sobol::Sampler;
+use crate::math::{Rgb, heuristic, roulette};
+use crate::photon::estimate::EstimateSettings;
+use crate::photon::map::{PhotonMap, PhotonMaps};
+use crate::scene::Scene;
+use crate::scene::segment::Interior;
+use glam::Vec3;
+
+const FOCUSING: Lobes = Lobes::GLOSSY.union(Lobes::SPECULAR);
+
+/// How the gather pass reads the maps.
+#[derive(Clone, Copy, Debug)]
+pub struct GatherSettings {
+    /// Density estimates from the global map.
+    pub global: EstimateSettings,
+    /// Density estimates from the caustic map.
+    pub caustic: EstimateSettings,
+    /// Final-gather rays per diffuse camera vertex; 0 looks at the global map directly.
+    pub final_gather: u32,
+}
+
+/// One gather pass over one scene and its maps.
+pub struct PhotonGather<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// The maps; a missing one holds no light.
+    pub maps: &'a PhotonMaps,
+    /// How they are read.
+    pub settings: GatherSettings,
+}
+
+/// A vertex where light is gathered.
+struct Vertex<'v> {
+    point: &'v SurfacePoint,
+    bsdf: &'v Bsdf,
+    wo: Vec3,
+    interior: Interior,
+}
+
+impl PhotonGather<'_> {
+    /// Radiance along `camera_ray`.
+    pub fn trace(&self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
+        let scene = self.scene;
+        let mut sample = Sample::default();
+        let mut ray = camera_ray;
+        let mut throughput = Rgb::WHITE;
+        let mut interior = Interior::default();
+        // pdf of the last glossy scattering; infinite where next-event estimation could not find the light.
+        let (mut from, mut pdf) = (ray.origin, f32::INFINITY);
+        for bounce in 0.. {
+            sample.rays += 1;
+            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { break };
+            let wo = -ray.direction;
+            throughput *= interior.transmittance_to(scene, &point, wo, distance);
+            let emission = scene.emission(&point, wo);
+            if !emission.is_black() {
+                let weight = if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &point) };
+                sample.add(Part::Direct, throughput * emission * weight);
+            }
+            let bsdf = scene.bsdf(&point);
+            if bounce == 0 {
+                sample.first = Some(first_hit(&point, &bsdf, wo));
+            }
+            let vertex = Vertex { point: &point, bsdf: &bsdf, wo, interior };
+            self.direct_light(&vertex, throughput, sampler, &mut sample);
+            if bsdf.lobes().intersects(Lobes::DIFFUSE) {
+                self.diffuse_light(&vertex, throughput, sampler, &mut sample);
+            }
+            let u = sampler.next_3d();
+            let Some(s) = self.continue_path(&bsdf, wo, u, &mut throughput, bounce, sampler) else { break };
+            (from, pdf) = (point.position, if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf });
+            if s.transmitted {
+                interior = interior.crossed(scene, &point, s.wi);
+            }
+            ray = Ray::new(point.spawn(s.wi), s.wi);
+        }
+        sample
+    }
+
+    /// Follows a specular or glossy lobe, with roulette; `throughput` is updated.
+    fn continue_path(
+        &self,
+        bsdf: &Bsdf,
+        wo: Vec3,
+        u: [f32; 3],
+        throughput: &mut Rgb,
+        bounce: u32,
+        sampler: &mut Sampler,
+    ) -> Option<BsdfSample> {
+        let u_roulette = sampler.next_1d();
+        if !bsdf.lobes().intersects(FOCUSING) {
+            return None;
+        }
+        let s = bsdf.sample(wo, u, FOCUSING, TransportMode::Radiance)?;
+        *throughput *= s.weight;
+        let survival = roulette::camera_survival(throughput.max_component(), bounce);
+        if u_roulette >= survival {
+            return None;
+        }
+        *throughput *= 1.0 / survival;
+        Some(s)
+    }
+
+    /// MIS weight of emission met by a scattered ray of density `pdf` against one light sample.
+    fn hit_weight(&self, pdf: f32, from: Vec3, hit: &SurfacePoint) -> f32 {
+        heuristic::power(pdf, light_pdf(self.scene, from, hit))
+    }
+
+    /// Next-event estimation for the diffuse and the glossy lobe, each with the weight that its own second technique
+    /// (final-gather rays, the glossy continuation) leaves it.
+    fn direct_light(&self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
+        let Some(light) = LightDirection::sample(self.scene, v.point, sampler) else { return };
+        let f = |lobes| v.bsdf.eval(v.wo, light.wi, lobes, TransportMode::Radiance);
+        let (diffuse, glossy) = (f(Lobes::DIFFUSE), f(Lobes::GLOSSY));
+        if diffuse.is_black() && glossy.is_black() {
+            return;
+        }
+        sample.rays += 1;
+        if !light.is_visible(self.scene) {
+            return;
+        }
+        let pdf = |lobes| v.bsdf.pdf(v.wo, light.wi, lobes, TransportMode::Radiance);
+        let gather_rays = self.settings.final_gather as f32;
+        let w_diffuse = heuristic::power(light.pdf, gather_rays * pdf(Lobes::DIFFUSE));
+        let w_glossy = heuristic::power(light.pdf, pdf(FOCUSING));
+        let incident = throughput
+            * light.weighted_radiance
+            * v.interior.transmittance(self.scene, light.distance)
+            * v.bsdf.cos(light.wi);
+        sample.add(Part::Direct, incident * (diffuse * w_diffuse + glossy * w_glossy));
+    }
+
+    /// Light on the diffuse lobe that does not come straight from a light.
+    fn diffuse_light(&self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
+        let reflectance = v.bsdf.diffuse_albedo(v.wo);
+        if reflectance.is_black() {
+            return;
+        }
+        let normal = facing(v.point.ng, v.wo);
+        let radiance = throughput * reflectance * INV_PI;
+        if let Some(map) = &self.maps.caustic {
+            let e = map.irradiance(v.point.position, normal, &self.settings.caustic).irradiance;
+            sample.add(Part::Caustic, radiance * e);
+        }
+        if self.settings.final_gather == 0 {
+            if let Some(map) = &self.maps.global {
+                let e = map.irradiance(v.point.position, normal, &self.settings.global).irradiance;
+                sample.add(Part::Indirect, radiance * e);
+            }
+            return;
+        }
+        let share = 1.0 / self.settings.final_gather as f32;
+        for _ in 0..self.settings.final_gather {
+            let u = sampler.next_3d();
+            let Some(s) = v.bsdf.sample(v.wo, u, Lobes::DIFFUSE, TransportMode::Radiance) else { continue };
+            self.final_gather(v, &s, throughput * s.weight * share, sampler, sample);
+        }
+    }
+
+    /// One final-gather ray: emission by MIS (the second technique of direct light), then the global map at diffuse
+    /// lobes, through specular and glossy ones. Emission behind those is the caustic map's, and is not counted here.
+    fn final_gather(
+        &self,
+        v: &Vertex<'_>,
+        start: &BsdfSample,
+        mut throughput: Rgb,
+        sampler: &mut Sampler,
+        sample: &mut Sample,
+    ) {
+        let scene = self.scene;
+        let reference = throughput.max_component();
+        if reference <= 0.0 {
+            return;
+        }
+        let mut ray = Ray::new(v.point.spawn(start.wi), start.wi);
+        let mut interior = v.interior;
+        for bounce in 0.. {
+            sample.rays += 1;
+            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { return };
+            let wo = -ray.direction;
+            throughput *= interior.transmittance_to(scene, &point, wo, distance);
+            if bounce == 0 {
+                let emission = scene.emission(&point, wo);
+                if !emission.is_black() {
+                    let pdf = self.settings.final_gather as f32 * start.pdf;
+                    let weight = self.hit_weight(pdf, v.point.position, &point);
+                    sample.add(Part::Direct, throughput * emission * weight);
+                }
+            }
+            let Some(map) = &self.maps.global else { return };
+            let bsdf = scene.bsdf(&point);
+            if bsdf.lobes().intersects(Lobes::DIFFUSE) {
+                let e = self.precomputed(map, &point, wo);
+                sample.add(Part::Indirect, throughput * bsdf.diffuse_albedo(wo) * e * INV_PI);
+            }
+            // Roulette relative to the gather ray's own start, so that `final_gather` does not change it.
+            let mut relative = throughput * (1.0 / reference);
+            let u = sampler.next_3d();
+            let Some(s) = self.continue_path(&bsdf, wo, u, &mut relative, bounce + 1, sampler) else { return };
+            throughput = relative * reference;
+            if s.transmitted {
+                interior = interior.crossed(scene, &point, s.wi);
+            }
+            ray = Ray::new(point.spawn(s.wi), s.wi);
+        }
+    }
+
+    /// Irradiance at the nearest photon (Christensen 1999), computed when first asked for.
+    fn precomputed(&self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
+        map.nearest_irradiance(point.position, facing(point.ng, wo), &self.settings.global)
+    }
+}
+
+#[inline]
+fn facing(n: Vec3, w: Vec3) -> Vec3 {
+    if n.dot(w) < 0.0 { -n } else { n }
+}

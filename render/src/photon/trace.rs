@@ -1,0 +1,209 @@
+//! Photon paths from emission to absorption: which hits are stored, and with what power.
+//!
+//! A path is a pure function of (scene, seed, map, round, path index). Power is kept undivided; estimates divide by the
+//! emitted count (Jensen 2001, §5).
+
+use super::aim::AimedEmission;
+use super::pack::{encode_normal, encode_rgbe};
+use super::{EmissionRange, MapKind, PhotonBatch};
+use crate::geometry::{Ray, SurfacePoint};
+use crate::light::EmissionSample;
+use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
+use crate::math::sobol::Sampler;
+use crate::math::{Purpose, Rgb, roulette};
+use crate::scene::{Scene, segment::Interior};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Paths traced as one unit of parallel work; of no influence on the result.
+const PATHS_PER_TASK: u64 = 2048;
+
+/// Which stored hits a map takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Storage {
+    /// Every hit on a diffuse lobe: `L(S|G|D)*D`, read behind final-gather rays.
+    All,
+    /// Only light that met a diffuse surface before: `L…D…D`, for looking at the map directly beside direct light and
+    /// the caustic map.
+    Indirect,
+    /// Only light focused by Dirac and glossy lobes: `L(S|G)⁺D`; a path ends at its first diffuse surface.
+    Caustic,
+}
+
+/// How photon paths are made: everything besides the path index that a photon depends on.
+pub struct Emission<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Which map.
+    pub kind: MapKind,
+    /// Which hits are stored.
+    pub storage: Storage,
+    /// The job's seed.
+    pub seed: u64,
+    /// Repetition, for progressive methods.
+    pub round: u32,
+    /// Emission towards specular and glossy geometry; `None`: by light power into all directions.
+    pub aim: Option<&'a AimedEmission>,
+}
+
+/// One stored hit, before packing.
+#[derive(Clone, Copy, Debug)]
+pub struct Photon {
+    /// Scene-space position.
+    pub position: Vec3,
+    /// Undivided power, such that Σ power / (emitted count · area) estimates the irradiance that the diffuse lobe
+    /// reflects: with the shading normal's cosine (Veach 1997, §5.3) and the coat's inward transmittance in it.
+    pub power: Rgb,
+    /// Geometric normal on the side the light came from.
+    pub normal: Vec3,
+}
+
+impl Emission<'_> {
+    /// Traces the paths of `range` on the current rayon pool. The result does not depend on the number of threads.
+    pub fn trace(&self, range: EmissionRange) -> PhotonBatch {
+        let tasks = range.len().div_ceil(PATHS_PER_TASK);
+        let parts: Vec<PhotonBatch> = (0..tasks)
+            .into_par_iter()
+            .map(|t| {
+                let first = range.first + t * PATHS_PER_TASK;
+                let end = range.end.min(first + PATHS_PER_TASK);
+                let mut batch = PhotonBatch::new(EmissionRange { first, end }, false);
+                for index in first..end {
+                    self.trace_path(index, &mut |p| store(&mut batch, p));
+                }
+                batch
+            })
+            .collect();
+        concatenate(range, parts)
+    }
+
+    /// Traces path `index` and hands every stored photon to `sink`, in bounce order.
+    pub fn trace_path(&self, index: u64, sink: &mut impl FnMut(&Photon)) {
+        let purpose = match self.kind {
+            MapKind::Global => Purpose::GlobalPhotons,
+            MapKind::Caustic => Purpose::CausticPhotons,
+        };
+        let mut sampler = Sampler::new(self.seed, purpose, self.round, 0, index);
+        let emitted = match self.aim {
+            Some(aim) => aim.sample(self.scene, &mut sampler),
+            None => emit_by_power(self.scene, &mut sampler),
+        };
+        if let Some(start) = emitted {
+            self.follow(start, &mut sampler, sink);
+        }
+    }
+
+    fn follow(&self, start: EmissionSample, sampler: &mut Sampler, sink: &mut impl FnMut(&Photon)) {
+        let scene = self.scene;
+        let mut ray = Ray::new(start.origin, start.direction);
+        let mut power = start.power;
+        let mut interior = Interior::default();
+        let (mut met_diffuse, mut met_other) = (false, false);
+        for bounce in 0.. {
+            if power.is_black() || !power.is_finite() {
+                return;
+            }
+            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { return };
+            let wo = -ray.direction;
+            power *= interior.transmittance_to(scene, &point, wo, distance);
+            let bsdf = scene.bsdf(&point);
+            let diffuse = bsdf.lobes().intersects(Lobes::DIFFUSE);
+            let stored = match self.storage {
+                Storage::All => true,
+                Storage::Indirect => met_diffuse,
+                Storage::Caustic => met_other && !met_diffuse,
+            };
+            if diffuse && stored {
+                if let Some(photon) = arriving(&point, &bsdf, wo, power) {
+                    sink(&photon);
+                }
+            }
+            let lobes = match self.storage {
+                Storage::Caustic => Lobes::GLOSSY.union(Lobes::SPECULAR),
+                _ => Lobes::ALL,
+            };
+            let Some((s, survival)) = scatter(&bsdf, wo, lobes, bounce, sampler) else { return };
+            power *= s.weight * (bsdf.importance_correction(wo, s.wi) / survival);
+            met_diffuse |= s.lobe == Lobes::DIFFUSE;
+            met_other |= s.lobe != Lobes::DIFFUSE;
+            if s.transmitted {
+                interior = interior.crossed(scene, &point, s.wi);
+            }
+            ray = Ray::new(point.spawn(s.wi), s.wi);
+        }
+    }
+}
+
+/// Chooses a light in proportion to its power and emits into all directions.
+fn emit_by_power(scene: &Scene, sampler: &mut Sampler) -> Option<EmissionSample> {
+    let (u_light, u_position, u_direction) = (sampler.next_1d(), sampler.next_2d(), sampler.next_2d());
+    let (light, pmf) = scene.lights.select(u_light)?;
+    let mut s = light.sample_le(u_position, u_direction)?;
+    s.power *= 1.0 / pmf;
+    Some(s)
+}
+
+/// The photon that `power` arriving from `wo` leaves at `point`.
+fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<Photon> {
+    let cos_geometric = wo.dot(point.ng);
+    if cos_geometric == 0.0 {
+        return None;
+    }
+    // The density of photons measures irradiance with the geometric cosine; the lobe reflects with the shading one.
+    let weight = bsdf.cos(wo) / cos_geometric.abs() * bsdf.diffuse_in_weight(wo);
+    let power = power * weight;
+    (!power.is_black() && power.is_finite()).then(|| Photon {
+        position: point.position,
+        power,
+        normal: if cos_geometric < 0.0 { -point.ng } else { point.ng },
+    })
+}
+
+/// Russian roulette between diffuse reflection, other scattering and absorption (Jensen 2001, §5.2). Returns the sample
+/// within the chosen lobe set and the probability of that choice, so that the caller divides by it.
+fn scatter(
+    bsdf: &Bsdf,
+    wo: Vec3,
+    lobes: Lobes,
+    bounce: u32,
+    sampler: &mut Sampler,
+) -> Option<(BsdfSample, f32)> {
+    let (mut u_choice, u) = (sampler.next_1d(), sampler.next_3d());
+    let (mut d, s) = bsdf.roulette_albedos(wo, TransportMode::Importance);
+    if !lobes.intersects(Lobes::DIFFUSE) {
+        d = Rgb::BLACK;
+    }
+    let survival = (d + s).max_component().min(roulette::survival_cap(bounce));
+    let sum = d.sum() + s.sum();
+    if sum <= 0.0 || u_choice >= survival {
+        return None;
+    }
+    u_choice /= survival;
+    let p_diffuse = d.sum() / sum;
+    let (lobes, probability) = if u_choice < p_diffuse {
+        (Lobes::DIFFUSE, survival * p_diffuse)
+    } else {
+        (Lobes::GLOSSY.union(Lobes::SPECULAR), survival * (1.0 - p_diffuse))
+    };
+    bsdf.sample(wo, u, lobes, TransportMode::Importance).map(|sample| (sample, probability))
+}
+
+fn store(batch: &mut PhotonBatch, p: &Photon) {
+    batch.positions.push(p.position.to_array());
+    batch.powers.push(encode_rgbe(p.power));
+    batch.normals.push(encode_normal(p.normal));
+}
+
+fn concatenate(range: EmissionRange, parts: Vec<PhotonBatch>) -> PhotonBatch {
+    let mut whole = PhotonBatch::new(range, false);
+    let count = parts.iter().map(PhotonBatch::len).sum();
+    whole.positions.reserve_exact(count);
+    whole.powers.reserve_exact(count);
+    whole.normals.reserve_exact(count);
+    for mut part in parts {
+        whole.positions.append(&mut part.positions);
+        whole.powers.append(&mut part.powers);
+        whole.normals.append(&mut part.normals);
+    }
+    whole
+}

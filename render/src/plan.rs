@@ -1,0 +1,211 @@
+//! What an image needs, decided before any work: which passes, maps and fields, what is left out, and why.
+//!
+//! The plan is a pure function of scene and settings; the render follows it, and leaving something out changes no bit
+//! of the image.
+
+use crate::film::ChannelSet;
+use crate::photon::aim::AimedEmission;
+use crate::photon::map::PhotonMap;
+use crate::photon::trace::{Emission, Storage};
+use crate::photon::{EmissionRange, MapKind};
+use crate::scene::Scene;
+use crate::settings::{Layer, Method, RenderSettings};
+
+/// Photon paths traced to estimate how many photons a map will hold.
+const PILOT_PATHS: u64 = 4096;
+/// What a process holds besides scene, maps and film: code, allocator, network buffers.
+const PROCESS_BYTES: u64 = 24 << 20;
+
+/// One thing the image needs or does not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlanEntry {
+    /// The pass, map, field or transfer.
+    pub what: String,
+    /// Whether it is there.
+    pub kept: bool,
+    /// Why.
+    pub reason: String,
+}
+
+/// One emission pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EmissionPlan {
+    /// Emitted paths.
+    pub paths: u64,
+    /// Which hits are stored.
+    pub storage: Storage,
+    /// Expected number of stored photons, by a pilot run.
+    pub expected_stored: u64,
+}
+
+/// What will be done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Everything decided, in the order of the passes.
+    pub entries: Vec<PlanEntry>,
+    /// The global map's emission; `None`: left out.
+    pub global: Option<EmissionPlan>,
+    /// The caustic map's emission; `None`: left out.
+    pub caustic: Option<EmissionPlan>,
+    /// Expected peak memory of a worker process, bytes.
+    pub worker_bytes: u64,
+    /// Expected peak memory of the coordinator process of a cluster, bytes.
+    pub coordinator_bytes: u64,
+    /// Expected peak memory of `render`, coordinator and workers in one process, bytes.
+    pub single_process_bytes: u64,
+    /// Expected bytes of maps that each worker receives.
+    pub broadcast_bytes: u64,
+}
+
+impl Plan {
+    /// Decides what `scene` needs for `settings`.
+    pub fn new(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Self {
+        let mut entries = Vec::new();
+        let mut entry = |what: &str, kept: bool, reason: String| {
+            entries.push(PlanEntry { what: what.into(), kept, reason });
+        };
+        let global = plan_global(scene, settings).map_err(|why| entry("global photon map", false, why)).ok();
+        if let Some(g) = &global {
+            entry("global photon map", true, describe(g, "light on diffuse surfaces"));
+        }
+        let caustic = plan_caustic(scene, settings, aim).map_err(|why| entry("caustic photon map", false, why)).ok();
+        if let (Some(c), Some(a)) = (&caustic, aim) {
+            entry("caustic photon map", true, describe(c, "light focused by specular and glossy surfaces"));
+            let n = a.targets().len();
+            entry("aimed emission", true, format!("towards {n} bounding sphere{} of such surfaces", plural(n)));
+        }
+        if global.is_some() || caustic.is_some() {
+            entry("photon directions", false, "diffuse lobes reflect the same whatever the direction".into());
+        } else {
+            entry("merge and broadcast", false, "there is no map".into());
+        }
+        plan_gather(scene, settings, global.is_some(), &mut entry);
+        for layer in Layer::ALL {
+            if !settings.layers.contains(&layer) {
+                entry(&format!("layer {}", layer.name()), false, "not asked for".into());
+            }
+        }
+        let mut plan = Plan {
+            entries,
+            global,
+            caustic,
+            worker_bytes: 0,
+            coordinator_bytes: 0,
+            single_process_bytes: 0,
+            broadcast_bytes: 0,
+        };
+        plan.predict_memory(scene, settings);
+        plan
+    }
+
+    fn predict_memory(&mut self, scene: &Scene, settings: &RenderSettings) {
+        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
+        let photons = stored(&self.global) + stored(&self.caustic);
+        let map = PhotonMap::memory_bytes_for(photons, false);
+        let cache = if settings.final_gather > 0 { 4 * stored(&self.global) } else { 0 };
+        let channels = ChannelSet::new(&settings.layers).len() as u64;
+        let film = u64::from(settings.width) * u64::from(settings.height) * channels * 4;
+        let scene_bytes = scene.memory_bytes() as u64;
+        // Encoded once for the broadcast; the film is held once more while the file is encoded.
+        let encoded = photons * ENCODED_BYTES_PER_PHOTON;
+        self.broadcast_bytes = encoded;
+        self.worker_bytes = PROCESS_BYTES + scene_bytes + map + cache + encoded;
+        self.coordinator_bytes = PROCESS_BYTES + scene_bytes + 2 * photons * RAW_BYTES_PER_PHOTON + encoded + 2 * film;
+        self.single_process_bytes = PROCESS_BYTES + scene_bytes + 2 * map + cache + encoded + 2 * film;
+    }
+}
+
+/// Position, power and normal as a batch holds them.
+const RAW_BYTES_PER_PHOTON: u64 = 18;
+/// Expected size of an encoded photon.
+const ENCODED_BYTES_PER_PHOTON: u64 = 14;
+
+fn plural(n: usize) -> &'static str {
+    if n == 1 { "" } else { "s" }
+}
+
+fn describe(e: &EmissionPlan, what: &str) -> String {
+    format!("{what}: {} paths emitted, about {} photons stored", e.paths, e.expected_stored)
+}
+
+fn plan_global(scene: &Scene, settings: &RenderSettings) -> Result<EmissionPlan, String> {
+    common_reason(scene, settings)?;
+    if settings.photons == 0 {
+        return Err("--photons is 0".into());
+    }
+    let storage = if settings.final_gather > 0 { Storage::All } else { Storage::Indirect };
+    Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None))
+}
+
+fn plan_caustic(
+    scene: &Scene,
+    settings: &RenderSettings,
+    aim: Option<&AimedEmission>,
+) -> Result<EmissionPlan, String> {
+    common_reason(scene, settings)?;
+    if !scene.has_specular_or_glossy() {
+        return Err("no surface is specular or glossy".into());
+    }
+    if settings.caustic_photons == 0 {
+        return Err("--caustic-photons is 0".into());
+    }
+    let aim = aim.ok_or_else(|| "no light reaches a specular or glossy surface".to_string())?;
+    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, settings.caustic_photons, Some(aim)))
+}
+
+fn common_reason(scene: &Scene, settings: &RenderSettings) -> Result<(), String> {
+    if settings.method != Method::Photon {
+        return Err(format!("method {} reads no photons", settings.method.name()));
+    }
+    if scene.lights.is_empty() {
+        return Err("there is no light".into());
+    }
+    if !scene.has_diffuse() {
+        return Err("no surface is diffuse, so nothing would store or read photons".into());
+    }
+    Ok(())
+}
+
+fn emission_plan(
+    scene: &Scene,
+    settings: &RenderSettings,
+    kind: MapKind,
+    storage: Storage,
+    paths: u64,
+    aim: Option<&AimedEmission>,
+) -> EmissionPlan {
+    let pilot = PILOT_PATHS.min(paths);
+    let emission = Emission { scene, kind, storage, seed: settings.seed, round: 0, aim };
+    let stored = emission.trace(EmissionRange { first: 0, end: pilot }).len() as u64;
+    let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(pilot.max(1))) as u64;
+    EmissionPlan { paths, storage, expected_stored }
+}
+
+fn plan_gather(
+    scene: &Scene,
+    settings: &RenderSettings,
+    has_global: bool,
+    entry: &mut impl FnMut(&str, bool, String),
+) {
+    let (w, h, s) = (settings.width, settings.height, settings.samples);
+    entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
+    if settings.method == Method::Photon {
+        let kept = has_global && settings.final_gather > 0;
+        let reason = match (has_global, settings.final_gather) {
+            (false, _) => "there is no global map".to_string(),
+            (true, 0) => "--final-gather is 0: the global map is looked at directly".to_string(),
+            (true, n) => format!("{n} rays for each diffuse camera vertex"),
+        };
+        entry("final gather", kept, reason);
+        let why = if kept { "computed at photons that are looked at" } else { "there is no final gather" };
+        entry("precomputed irradiance", kept, why.into());
+    }
+    let masks = scene.has_alpha_masks;
+    entry("alpha mask tests", masks, if masks { "some materials have holes" } else { "no material has holes" }.into());
+    let bodies = scene.materials.iter().any(|m| m.absorption().is_some());
+    entry(
+        "attenuation in bodies",
+        bodies,
+        if bodies { "some bodies absorb light" } else { "no body absorbs light" }.into(),
+    );
+}

@@ -1,0 +1,33 @@
+//! The body a path segment runs through, for Beer–Lambert attenuation.
+
+use crate::geometry::SurfacePoint;
+use crate::math::Rgb;
+use super::Scene;
+use glam::Vec3;
+
+/// Which absorbing body a path is in: the index of the material that bounds it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Interior(Option<u32>);
+
+impl Interior {
+    /// Share of light that survives a segment of length `distance` that ends at `end`, seen from `wo` (back along the
+    /// segment). A segment that meets the inner side of a body was inside it, wherever the path began.
+    #[inline]
+    pub fn transmittance_to(&self, scene: &Scene, end: &SurfacePoint, wo: Vec3, distance: f32) -> Rgb {
+        let body = self.0.or_else(|| (wo.dot(end.ng) < 0.0).then_some(end.material));
+        scene.transmittance(body, distance)
+    }
+    /// Share of light that survives `distance` inside the current body.
+    #[inline]
+    pub fn transmittance(&self, scene: &Scene, distance: f32) -> Rgb {
+        scene.transmittance(self.0, distance)
+    }
+    /// The body after crossing the surface at `point` into direction `wi`.
+    #[inline]
+    pub fn crossed(&self, scene: &Scene, point: &SurfacePoint, wi: Vec3) -> Interior {
+        if scene.material(point).absorption().is_none() {
+            return *self;
+        }
+        Interior((wi.dot(point.ng) < 0.0).then_some(point.material))
+    }
+}

@@ -1,0 +1,174 @@
+//! Scenes whose radiance is known in closed form, for every method that applies.
+
+use gatherlight_render::math::Rgb;
+use gatherlight_render::scene::description::{LightKind, MaterialDescription, SceneDescription};
+use gatherlight_render::settings::{Method, RenderSettings};
+use gatherlight_tests::fixtures::{SceneMaker, cuboid, enclosure, quad, sphere};
+use gatherlight_tests::single::{color, mean, render_description};
+use glam::{DVec3, Vec3};
+use std::f64::consts::PI;
+
+fn settings(method: Method, side: u32, samples: u32) -> RenderSettings {
+    RenderSettings { method, width: side, height: side, samples, ..Default::default() }
+}
+
+fn assert_close(what: &str, got: f64, expected: f64, tolerance: f64) {
+    let error = got / expected - 1.0;
+    assert!(error.abs() <= tolerance, "{what}: {got} instead of {expected} ({:+.3} %)", error * 100.0);
+}
+
+/// Mean over all pixels and its standard error from the spread of the pixels, for images that should be uniform.
+fn uniform_statistics(description: SceneDescription, settings: &RenderSettings) -> (f64, f64) {
+    let film = render_description(description, settings);
+    let n = f64::from(settings.width * settings.height);
+    let m = mean(&film)[1];
+    let variance: f64 = (0..settings.height)
+        .flat_map(|y| (0..settings.width).map(move |x| (x, y)))
+        .map(|(x, y)| (f64::from(color(&film, x, y).g) - m).powi(2))
+        .sum::<f64>()
+        / (n - 1.0);
+    (m, (variance / n).sqrt())
+}
+
+/// Radiance inside a closed box that emits Le and reflects ρ everywhere is Le / (1 − ρ).
+#[test]
+fn enclosure_by_path_tracing() {
+    for albedo in [0.5f32, 0.9] {
+        let (m, error) = uniform_statistics(enclosure(albedo, 0.25), &settings(Method::Path, 24, 64));
+        let expected = 0.25 / (1.0 - f64::from(albedo));
+        assert!((m - expected).abs() < 4.0 * error, "albedo {albedo}: {m} ± {error} instead of {expected}");
+        assert!(error / expected < 0.005, "the test is too noisy to see anything: {error}");
+    }
+}
+
+/// Photon mapping loses light within a gather radius of the box's edges (a quarter of the disc hangs over), so the mean
+/// may lie below by the share of area within half a radius of an edge, and not above.
+#[test]
+fn enclosure_by_photon_mapping() {
+    for albedo in [0.5f32, 0.9] {
+        let s = RenderSettings { photons: 400_000, ..settings(Method::Photon, 24, 32) };
+        let (m, error) = uniform_statistics(enclosure(albedo, 0.25), &s);
+        let expected = 0.25 / (1.0 - f64::from(albedo));
+        assert_close(&format!("albedo {albedo} ± {error}"), m, expected, 0.01);
+    }
+}
+
+/// A lamp over a Lambertian plane seen by one pixel: radiance = ρ/π · E.
+fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> f64 {
+    let mut s = SceneMaker::new();
+    let floor = s.material(MaterialDescription::lambert("floor", Rgb::splat(0.5)));
+    s.mesh(quad(Vec3::new(-2.0, 0.0, 2.0), Vec3::new(4.0, 0.0, 0.0), Vec3::new(0.0, 0.0, -4.0), floor));
+    light(&mut s);
+    // A narrow view of the origin from the side, under the lamp.
+    s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
+    let mut settings = settings(method, 1, 4096);
+    settings.photons = 200_000;
+    f64::from(color(&render_description(s.scene, &settings), 0, 0).g)
+}
+
+fn check_light(name: &str, irradiance: f64, light: impl Fn(&mut SceneMaker)) {
+    for method in Method::ALL {
+        let got = radiance_under(&light, method);
+        assert_close(&format!("{name}, {}", method.name()), got, 0.5 / PI * irradiance, 0.004);
+    }
+}
+
+#[test]
+fn irradiance_under_a_point_light() {
+    check_light("point", 3.0 / 2.25, |s| {
+        s.light(LightKind::Point, Rgb::splat(3.0), DVec3::new(0.0, 1.5, 0.0), DVec3::NEG_Y);
+    });
+}
+
+#[test]
+fn irradiance_under_a_spot_light() {
+    // Inside the inner cone a spot is a point light, here at 30° to the plane's normal: E = I cos³θ / h².
+    let cos = (30f64).to_radians().cos();
+    let h = 1.2;
+    check_light("spot", 5.0 * cos.powi(3) / (h * h), |s| {
+        let position = DVec3::new(0.0, h, h * 30f64.to_radians().tan());
+        let kind = LightKind::Spot { inner: 0.3, outer: 0.5 };
+        s.light(kind, Rgb::splat(5.0), position, -position);
+    });
+}
+
+#[test]
+fn irradiance_under_a_directional_light() {
+    check_light("directional", 2.0 * 40f64.to_radians().cos(), |s| {
+        let direction = DVec3::new(40f64.to_radians().sin(), -(40f64.to_radians().cos()), 0.0);
+        s.light(LightKind::Directional, Rgb::splat(2.0), DVec3::Y, direction);
+    });
+}
+
+/// A square lamp of side 2a at height h over the point: four corner terms of the classic configuration factor,
+/// E = 4 L · ½ [X/√(1+X²) atan(Y/√(1+X²)) + Y/√(1+Y²) atan(X/√(1+Y²))] with X = Y = a/h.
+#[test]
+fn irradiance_under_a_square_light() {
+    let (a, h) = (0.5f64, 1.0f64);
+    let x = a / h;
+    let s = (1.0 + x * x).sqrt();
+    let irradiance = 4.0 * 7.0 * 0.5 * 2.0 * (x / s * (x / s).atan());
+    check_light("square", irradiance, |m| {
+        let lamp = m.material(MaterialDescription::emitter("lamp", Rgb::splat(7.0)));
+        let a = a as f32;
+        m.mesh(quad(Vec3::new(-a, h as f32, -a), Vec3::X * 2.0 * a, Vec3::Z * 2.0 * a, lamp));
+    });
+}
+
+/// A uniform sphere lamp of radius r at height h: E = π L (r/h)². The tessellation's radius is corrected so that its
+/// projected area is the sphere's.
+#[test]
+fn irradiance_under_a_sphere_light() {
+    let (r, h) = (0.3f64, 1.1f64);
+    check_light("sphere", PI * 4.0 * (r / h).powi(2), |m| {
+        let lamp = m.material(MaterialDescription::emitter("lamp", Rgb::splat(4.0)));
+        let mesh = sphere(Vec3::new(0.0, h as f32, 0.0), r as f32, 5, false, false, lamp);
+        m.mesh(mesh);
+    });
+}
+
+/// A slab of glass at normal incidence: with all inter-reflections T = (1 − R)/(1 + R), R = ((n − 1)/(n + 1))².
+#[test]
+fn transmission_of_a_glass_slab() {
+    for ior in [1.0f32, 1.5, 2.4] {
+        let mut s = SceneMaker::new();
+        let lamp = s.material(MaterialDescription::emitter("lamp", Rgb::splat(1.0)));
+        let glass = s.material(MaterialDescription::glass("glass", ior));
+        s.mesh(quad(Vec3::new(-1.0, -1.0, -1.0), Vec3::X * 2.0, Vec3::Y * 2.0, lamp));
+        s.mesh(cuboid(Vec3::new(-1.0, -1.0, -0.2), Vec3::new(1.0, 1.0, 0.2), false, glass));
+        s.camera(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 0.002);
+        let r = (f64::from(ior - 1.0) / f64::from(ior + 1.0)).powi(2);
+        for method in Method::ALL {
+            let got = f64::from(color(&render_description(s.scene.clone(), &settings(method, 1, 65_536)), 0, 0).g);
+            let expected = (1.0 - r) / (1.0 + r);
+            // Standard error of a Bernoulli-like estimate with 65,536 samples: below 0.002 of the value; 4 σ.
+            let sigma = (expected * (1.0 - expected) / 65_536.0).sqrt();
+            assert!(
+                (got - expected).abs() <= 4.0 * sigma + 1e-6,
+                "n = {ior}, {}: {got} instead of {expected} (σ = {sigma})",
+                method.name()
+            );
+        }
+    }
+}
+
+/// Beer and Lambert: a slab of thickness d that attenuates to colour c over distance D transmits c^(d/D) per passage.
+#[test]
+fn attenuation_in_a_body() {
+    let mut s = SceneMaker::new();
+    let lamp = s.material(MaterialDescription::emitter("lamp", Rgb::splat(1.0)));
+    let glass = s.material(MaterialDescription {
+        attenuation_color: Rgb::new(0.5, 0.25, 1.0),
+        attenuation_distance: 0.8,
+        ..MaterialDescription::glass("tinted", 1.0)
+    });
+    s.mesh(quad(Vec3::new(-1.0, -1.0, -1.0), Vec3::X * 2.0, Vec3::Y * 2.0, lamp));
+    s.mesh(cuboid(Vec3::new(-1.0, -1.0, -0.2), Vec3::new(1.0, 1.0, 0.2), false, glass));
+    s.camera(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 0.002);
+    for method in Method::ALL {
+        let got = color(&render_description(s.scene.clone(), &settings(method, 1, 16)), 0, 0);
+        for (g, c) in got.to_array().into_iter().zip([0.5f64, 0.25, 1.0]) {
+            assert_close(method.name(), f64::from(g), c.sqrt(), 1e-4);
+        }
+    }
+}
