@@ -25,14 +25,19 @@ impl LightDirection {
     #[inline]
     pub fn sample(scene: &Scene, point: &SurfacePoint, sampler: &mut Sampler) -> Option<Self> {
         let (u_light, u) = (sampler.next_1d(), sampler.next_2d());
-        let (light, pmf) = scene.lights.select(u_light)?;
-        let s = light.sample_li(point.position, u)?;
+        let (index, pmf) = scene.lights.selector().sample(u_light)?;
+        let s = scene.lights.get(index)?.sample_li(&scene.light_context(), point.position, u)?;
         let pdf = pmf * s.pdf;
         if pdf <= 0.0 || !pdf.is_finite() {
             return None;
         }
         let origin = point.spawn(s.wi);
-        let shadow = s.shadow_ray(origin);
+        let span = s.shadow_target - origin;
+        let length = span.length();
+        if length <= 0.0 {
+            return None;
+        }
+        let shadow = Ray::segment(origin, span * length.recip(), length);
         Some(LightDirection {
             wi: s.wi,
             weighted_radiance: s.radiance * (1.0 / pdf),
@@ -49,8 +54,12 @@ impl LightDirection {
     }
 }
 
-/// pdf per solid angle with which [`LightDirection::sample`] would have found the emissive surface `hit` from `from`.
+/// pdf per solid angle with which [`LightDirection::sample`] from `from` would have given the direction `wi`, which met
+/// the emissive surface `hit` at `distance`.
 #[inline]
-pub fn light_pdf(scene: &Scene, from: Vec3, hit: &SurfacePoint) -> f32 {
-    scene.lights.pdf_li(&scene.instances, from, hit)
+pub fn light_pdf(scene: &Scene, from: Vec3, wi: Vec3, distance: f32, hit: &SurfacePoint) -> f32 {
+    let Some(first) = scene.instances[hit.instance as usize].first_emitter else { return 0.0 };
+    let index = (first + hit.triangle) as usize;
+    let Some(light) = scene.lights.get(index) else { return 0.0 };
+    scene.lights.selector().pmf(index) * light.pdf_li(from, wi, distance)
 }

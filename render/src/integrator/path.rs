@@ -36,7 +36,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
         if !emission.is_black() {
             let weight = match arrival.pdf {
                 f32::INFINITY => 1.0,
-                pdf => heuristic::power(pdf, light_pdf(scene, arrival.from, &point)),
+                pdf => heuristic::power(pdf, light_pdf(scene, arrival.from, ray.direction, distance, &point)),
             };
             sample.add(stage.part(), throughput * emission * weight);
         }

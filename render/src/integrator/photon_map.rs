@@ -13,8 +13,9 @@ use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
 use crate::math::ops::INV_PI;
 use crate::math::sobol::Sampler;
 use crate::math::{Rgb, heuristic, roulette};
-use crate::photon::estimate::EstimateSettings;
+use crate::photon::estimate::{self, Gather};
 use crate::photon::map::{PhotonMap, PhotonMaps};
+use crate::photon::query::NeighbourBuffer;
 use crate::scene::Scene;
 use crate::scene::segment::Interior;
 use glam::Vec3;
@@ -25,9 +26,9 @@ const FOCUSING: Lobes = Lobes::GLOSSY.union(Lobes::SPECULAR);
 #[derive(Clone, Copy, Debug)]
 pub struct GatherSettings {
     /// Density estimates from the global map.
-    pub global: EstimateSettings,
+    pub global: Gather,
     /// Density estimates from the caustic map.
-    pub caustic: EstimateSettings,
+    pub caustic: Gather,
     /// Final-gather rays per diffuse camera vertex; 0 looks at the global map directly.
     pub final_gather: u32,
 }
@@ -67,7 +68,7 @@ impl PhotonGather<'_> {
             throughput *= interior.transmittance_to(scene, &point, wo, distance);
             let emission = scene.emission(&point, wo);
             if !emission.is_black() {
-                let weight = if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &point) };
+                let weight = if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &ray, distance, &point) };
                 sample.add(Part::Direct, throughput * emission * weight);
             }
             let bsdf = scene.bsdf(&point);
@@ -115,8 +116,8 @@ impl PhotonGather<'_> {
     }
 
     /// MIS weight of emission met by a scattered ray of density `pdf` against one light sample.
-    fn hit_weight(&self, pdf: f32, from: Vec3, hit: &SurfacePoint) -> f32 {
-        heuristic::power(pdf, light_pdf(self.scene, from, hit))
+    fn hit_weight(&self, pdf: f32, from: Vec3, ray: &Ray, distance: f32, hit: &SurfacePoint) -> f32 {
+        heuristic::power(pdf, light_pdf(self.scene, from, ray.direction, distance, hit))
     }
 
     /// Next-event estimation for the diffuse and the glossy lobe, each with the weight that its own second technique
@@ -196,7 +197,7 @@ impl PhotonGather<'_> {
                 let emission = scene.emission(&point, wo);
                 if !emission.is_black() {
                     let pdf = self.settings.final_gather as f32 * start.pdf;
-                    let weight = self.hit_weight(pdf, v.point.position, &point);
+                    let weight = self.hit_weight(pdf, v.point.position, &ray, distance, &point);
                     sample.add(Part::Direct, throughput * emission * weight);
                 }
             }

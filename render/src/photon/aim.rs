@@ -4,7 +4,7 @@
 //! such geometry need photons: the projection map of Jensen (2001, §5.4) with cones in place of a raster, exact for
 //! every light and unbiased, because every direction that meets such geometry first has a positive pdf.
 
-use crate::light::EmissionSample;
+use crate::light::{EmissionSample, Light};
 use crate::math::sobol::Sampler;
 use crate::math::{AliasTable, Frame, Rgb, warp};
 use crate::scene::Scene;
@@ -42,18 +42,20 @@ impl AimedEmission {
         if targets.is_empty() {
             return None;
         }
-        let total: f64 = scene.lights.iter().map(|l| f64::from(l.power().luminance())).sum();
+        let total: f64 = scene.lights.as_slice().iter().map(|l| f64::from(l.power().luminance())).sum();
         if total <= 0.0 {
             return None;
         }
         let towards: Vec<f64> = scene
             .lights
+            .as_slice()
             .iter()
-            .map(|l| f64::from(l.power().luminance()) * reach(&targets, l.center(), scene.space.radius))
+            .map(|l| f64::from(l.power().luminance()) * reach(&targets, center_of(l), scene.space.radius))
             .collect();
         let towards_total: f64 = towards.iter().sum();
         let weights: Vec<f64> = scene
             .lights
+            .as_slice()
             .iter()
             .zip(&towards)
             .map(|(l, t)| {
@@ -76,15 +78,26 @@ impl AimedEmission {
         let (u_target, u_direction) = (sampler.next_1d(), sampler.next_2d());
         let (index, pmf) = self.lights.sample(u_light);
         let light = scene.lights.get(index)?;
-        let mut s = match light.direction_of_parallel_light() {
-            Some(direction) => {
-                let (origin, pdf) = self.sample_parallel(direction, scene.space.radius, u_target, u_direction);
-                light.parallel_emission(origin, 1.0 / pdf)?
+        let mut s = if let Light::Directional(l) = light {
+            let (origin, pdf) = self.sample_parallel(l.direction, scene.space.radius, u_target, u_direction);
+            EmissionSample {
+                origin,
+                normal: None,
+                direction: l.direction,
+                power: l.irradiance * (1.0 / pdf),
+                pdf_position: pdf,
+                pdf_direction: 1.0,
             }
-            None => {
-                let origin = light.sample_origin(u_position);
-                let (direction, pdf) = self.sample_cone(origin.position, u_target, u_direction)?;
-                light.emission_from(&origin, direction, pdf, &scene.materials, &scene.textures)?
+        } else {
+            let point = light.sample_point(&scene.light_context(), u_position)?;
+            let (direction, pdf) = self.sample_cone(point.position, u_target, u_direction)?;
+            EmissionSample {
+                origin: point.spawn(direction),
+                normal: point.normal,
+                direction,
+                power: light.emitted(&point, direction) * (1.0 / (point.pdf * pdf)),
+                pdf_position: point.pdf,
+                pdf_direction: pdf,
             }
         };
         s.power *= 1.0 / pmf;
@@ -96,12 +109,12 @@ impl AimedEmission {
     fn sample_cone(&self, from: Vec3, u_target: f32, u: [f32; 2]) -> Option<(Vec3, f32)> {
         let mut total = 0.0;
         for t in &self.targets {
-            total += t.weight * solid_angle_cap(t, from);
+            total += t.weight * one_minus_cos(t, from);
         }
         let mut remaining = u_target * total;
         let mut chosen = self.targets.last()?;
         for t in &self.targets {
-            remaining -= t.weight * solid_angle_cap(t, from);
+            remaining -= t.weight * one_minus_cos(t, from);
             if remaining < 0.0 {
                 chosen = t;
                 break;
@@ -164,9 +177,14 @@ fn one_minus_cos(t: &Target, from: Vec3) -> f32 {
     (sin2 / (1.0 + (1.0 - sin2).sqrt())) * (1.0 + 1e-5) + 1e-12
 }
 
-/// Solid angle of the cone over 2π.
-fn solid_angle_cap(t: &Target, from: Vec3) -> f32 {
-    one_minus_cos(t, from)
+/// Where a light is, roughly; `None` for directional lights.
+fn center_of(light: &Light) -> Option<Vec3> {
+    match light {
+        Light::Area(l) => Some((l.shape.p[0] + l.shape.p[1] + l.shape.p[2]) * (1.0 / 3.0)),
+        Light::Point(l) => Some(l.position),
+        Light::Spot(l) => Some(l.position),
+        Light::Directional(_) => None,
+    }
 }
 
 fn in_cone(t: &Target, from: Vec3, direction: Vec3) -> bool {

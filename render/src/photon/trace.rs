@@ -137,8 +137,8 @@ impl Emission<'_> {
 /// Chooses a light in proportion to its power and emits into all directions.
 fn emit_by_power(scene: &Scene, sampler: &mut Sampler) -> Option<EmissionSample> {
     let (u_light, u_position, u_direction) = (sampler.next_1d(), sampler.next_2d(), sampler.next_2d());
-    let (light, pmf) = scene.lights.select(u_light)?;
-    let mut s = light.sample_le(u_position, u_direction)?;
+    let (index, pmf) = scene.lights.selector().sample(u_light)?;
+    let mut s = scene.lights.get(index)?.sample_le(&scene.light_context(), u_position, u_direction)?;
     s.power *= 1.0 / pmf;
     Some(s)
 }

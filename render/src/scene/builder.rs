@@ -1,14 +1,14 @@
 //! From a description to a [`Scene`]: normalise, bake single-use meshes, compile materials, collect lights.
 
-use super::description::{CameraDescription, LightKind, SceneDescription};
+use super::description::{CameraDescription, LightDescription, LightKind, SceneDescription};
 use super::normalise::{SceneSpace, power_of_two_below};
 use super::{Camera, Scene, camera};
 use crate::error::SceneError;
 use crate::geometry::{Accelerator, Instance, Mesh, Transform};
-use crate::light::{EmissiveTriangle, Lights, PunctualLight, PunctualKind};
+use crate::light::{DirectionalLight, EmissiveTriangle, Light, LightContext, Lights, PointLight, SpotLight};
 use crate::material::{Material, Textures};
 use crate::settings::CameraChoice;
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 use std::sync::Arc;
 
 /// Largest number of triangles, over all instances that are stored apart.
@@ -24,14 +24,15 @@ const SMALL_MESH_TRIANGLES: usize = 64;
 pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
     check_indices(&description)?;
     let space = SceneSpace::from_bounds(world_bounds(&description));
-    let textures = Textures::new(&description.textures, &description.images);
-    description.images = Vec::new();
+    let textures =
+        Textures::new(std::mem::take(&mut description.textures), std::mem::take(&mut description.images));
     let materials: Vec<Material> =
-        description.materials.iter().map(|m| Material::new(m, &textures, space.scale as f32)).collect();
+        description.materials.iter().map(|m| Material::new(m, space.scale as f32)).collect();
     let (meshes, mut instances) = place_meshes(&description, &space)?;
     let emitters = collect_emitters(&meshes, &mut instances, &materials);
-    let punctual: Vec<PunctualLight> = description.lights.iter().map(|l| punctual_light(l, &space)).collect();
-    let lights = Lights::build(emitters, punctual, space.radius, &materials, &textures);
+    let punctual = description.lights.iter().map(|l| punctual_light(l, &space)).collect();
+    let context = LightContext { materials: &materials, textures: &textures };
+    let lights = Lights::build(&emitters, punctual, &context);
     let accelerator = Accelerator::build(&meshes, &instances);
     let has_alpha_masks = instances
         .iter()
@@ -237,10 +238,10 @@ fn collect_emitters(
         for (t, triangle) in mesh.triangles.iter().enumerate() {
             emitters.push(EmissiveTriangle {
                 p: mesh.triangle_positions(t, instance),
-                uv: [0, 1].map(|set| {
-                    mesh.uvs[set].as_ref().map(|uv| triangle.map(|v| uv[v as usize]))
+                uv: triangle.map(|v| {
+                    [0, 1].map(|set| mesh.uvs[set].as_ref().map_or(Vec2::ZERO, |uv| uv[v as usize]))
                 }),
-                color: mesh.colors.as_ref().map(|c| triangle.map(|v| c[v as usize])),
+                color: triangle.map(|v| mesh.colors.as_ref().map_or([1.0; 4], |c| c[v as usize])),
                 material: mesh.material,
                 instance: index as u32,
                 triangle: t as u32,
@@ -250,14 +251,16 @@ fn collect_emitters(
     emitters
 }
 
-fn punctual_light(l: &super::description::LightDescription, space: &SceneSpace) -> PunctualLight {
-    let direction = (-l.to_world.matrix3.z_axis).try_normalize().unwrap_or(DVec3::NEG_Z).as_vec3();
+fn punctual_light(l: &LightDescription, space: &SceneSpace) -> Light {
+    let axis = (-l.to_world.matrix3.z_axis).try_normalize().unwrap_or(DVec3::NEG_Z).as_vec3();
+    let position = space.point(l.to_world.translation);
     // Intensity is power per solid angle; irradiance I/d² keeps its value when lengths are scaled by s if I → I s².
-    let scaled = l.intensity * (space.scale * space.scale) as f32;
-    let (kind, intensity) = match l.kind {
-        LightKind::Point => (PunctualKind::Point, scaled),
-        LightKind::Spot { inner, outer } => (PunctualKind::Spot { inner, outer }, scaled),
-        LightKind::Directional => (PunctualKind::Directional, l.intensity),
-    };
-    PunctualLight { position: space.point(l.to_world.translation), direction, intensity, kind }
+    let intensity = l.intensity * (space.scale * space.scale) as f32;
+    match l.kind {
+        LightKind::Point => Light::Point(PointLight { position, intensity }),
+        LightKind::Spot { inner, outer } => Light::Spot(SpotLight::new(position, axis, intensity, inner, outer)),
+        LightKind::Directional => {
+            Light::Directional(DirectionalLight { direction: axis, irradiance: l.intensity, radius: space.radius })
+        }
+    }
 }

@@ -12,9 +12,9 @@ pub use digest::SceneDigest;
 pub use normalise::SceneSpace;
 
 use crate::geometry::{Accelerator, Hit, Instance, Mesh, Ray, SurfacePoint};
-use crate::light::Lights;
+use crate::light::{LightContext, Lights};
 use crate::material::{Bsdf, Material, Textures};
-use crate::math::{Rgb, ops};
+use crate::math::Rgb;
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -94,19 +94,25 @@ impl Scene {
         if material.is_emissive() { material.emission(point, &self.textures, wo) } else { Rgb::BLACK }
     }
 
+    /// What evaluating a textured light needs.
+    #[inline]
+    pub fn light_context(&self) -> LightContext<'_> {
+        LightContext { materials: &self.materials, textures: &self.textures }
+    }
+
     /// Share of light that survives `distance` inside the body that `material` bounds (Beer and Lambert).
     #[inline]
     pub fn transmittance(&self, material: Option<u32>, distance: f32) -> Rgb {
-        match material.and_then(|m| self.materials[m as usize].absorption()) {
-            Some(sigma) => sigma.map(|s| ops::exp(-s * distance)),
-            None => Rgb::WHITE,
-        }
+        material.map_or(Rgb::WHITE, |m| self.materials[m as usize].transmittance(distance))
     }
 
     fn is_solid(&self, hit: &Hit) -> bool {
         let mesh = &self.meshes[self.instances[hit.instance as usize].mesh as usize];
         let material = &self.materials[mesh.material as usize];
-        !material.has_alpha_mask() || material.alpha_passes(&self.surface_point(hit), &self.textures)
+        !material.has_alpha_mask() || {
+            let point = self.surface_point(hit);
+            material.alpha_passes(&point.uv, &point.color, &self.textures)
+        }
     }
 
     /// Whether any surface has a diffuse lobe.
@@ -122,6 +128,12 @@ impl Scene {
     /// Materials of the instances in the scene, one entry an instance.
     pub fn used_materials(&self) -> impl Iterator<Item = &Material> {
         self.instances.iter().map(|i| &self.materials[self.meshes[i.mesh as usize].material as usize])
+    }
+
+    /// Bytes held by geometry and textures.
+    pub fn memory_bytes(&self) -> usize {
+        let meshes: usize = self.meshes.iter().map(|m| m.memory_bytes()).sum();
+        meshes + self.accelerator.memory_bytes() + self.textures.memory_bytes()
     }
 
     /// Total area of all triangles, in scene units.
