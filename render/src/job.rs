@@ -9,6 +9,7 @@ use crate::import::{self, SceneBundle};
 use crate::integrator::photon_map::{GatherSettings, PhotonGather};
 use crate::integrator::{path, tile};
 use crate::photon::aim::AimedEmission;
+use crate::photon::query::NeighbourBuffer;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{EmissionPlan, Plan};
@@ -178,7 +179,8 @@ impl PreparedJob {
                 path::trace(scene, ray, settings.max_depth, sampler)
             }),
             Method::Photon => {
-                let pass = PhotonGather { scene, maps, settings: GatherSettings::new(settings, maps, &scene.space) };
+                let gather = GatherSettings::new(settings, maps, &scene.space);
+                let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| pass.trace(ray, sampler))
             }
         }

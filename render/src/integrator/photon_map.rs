@@ -16,9 +16,11 @@ use crate::math::{Rgb, heuristic, roulette};
 use crate::photon::estimate::{self, Gather};
 use crate::photon::map::{PhotonMap, PhotonMaps};
 use crate::photon::query::NeighbourBuffer;
-use crate::scene::Scene;
 use crate::scene::segment::Interior;
+use crate::scene::{Scene, SceneSpace};
+use crate::settings::RenderSettings;
 use glam::Vec3;
+use std::sync::Arc;
 
 const FOCUSING: Lobes = Lobes::GLOSSY.union(Lobes::SPECULAR);
 
@@ -41,6 +43,26 @@ pub struct PhotonGather<'a> {
     pub maps: &'a PhotonMaps,
     /// How they are read.
     pub settings: GatherSettings,
+    /// Memory of the neighbour searches, reused from call to call.
+    pub buffer: NeighbourBuffer,
+}
+
+impl GatherSettings {
+    /// The settings of a job: a largest radius that nobody gave comes from each map's own density.
+    pub fn new(settings: &RenderSettings, maps: &PhotonMaps, space: &SceneSpace) -> Self {
+        let gather = |map: &Option<Arc<PhotonMap>>| {
+            let radius = match settings.max_radius {
+                Some(world) => space.length(f64::from(world)),
+                None => map.as_ref().map_or(0.0, |m| m.default_max_radius(settings.k)),
+            };
+            Gather { k: settings.k, max_radius_squared: radius * radius, kernel: settings.kernel }
+        };
+        GatherSettings {
+            global: gather(&maps.global),
+            caustic: gather(&maps.caustic),
+            final_gather: settings.final_gather,
+        }
+    }
 }
 
 /// A vertex where light is gathered.
@@ -53,7 +75,7 @@ struct Vertex<'v> {
 
 impl PhotonGather<'_> {
     /// Radiance along `camera_ray`.
-    pub fn trace(&self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
+    pub fn trace(&mut self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
         let scene = self.scene;
         let mut sample = Sample::default();
         let mut ray = camera_ray;
@@ -145,20 +167,23 @@ impl PhotonGather<'_> {
     }
 
     /// Light on the diffuse lobe that does not come straight from a light.
-    fn diffuse_light(&self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
+    fn diffuse_light(&mut self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
         let reflectance = v.bsdf.diffuse_albedo(v.wo);
         if reflectance.is_black() {
             return;
         }
         let normal = facing(v.point.ng, v.wo);
         let radiance = throughput * reflectance * INV_PI;
-        if let Some(map) = &self.maps.caustic {
-            let e = map.irradiance(v.point.position, normal, &self.settings.caustic).irradiance;
+        let maps = self.maps;
+        if let Some(map) = &maps.caustic {
+            let gather = self.settings.caustic;
+            let e = self.irradiance(map, v.point.position, normal, &gather);
             sample.add(Part::Caustic, radiance * e);
         }
         if self.settings.final_gather == 0 {
-            if let Some(map) = &self.maps.global {
-                let e = map.irradiance(v.point.position, normal, &self.settings.global).irradiance;
+            if let Some(map) = &maps.global {
+                let gather = self.settings.global;
+                let e = self.irradiance(map, v.point.position, normal, &gather);
                 sample.add(Part::Indirect, radiance * e);
             }
             return;
@@ -174,14 +199,14 @@ impl PhotonGather<'_> {
     /// One final-gather ray: emission by MIS (the second technique of direct light), then the global map at diffuse
     /// lobes, through specular and glossy ones. Emission behind those is the caustic map's, and is not counted here.
     fn final_gather(
-        &self,
+        &mut self,
         v: &Vertex<'_>,
         start: &BsdfSample,
         mut throughput: Rgb,
         sampler: &mut Sampler,
         sample: &mut Sample,
     ) {
-        let scene = self.scene;
+        let (scene, maps) = (self.scene, self.maps);
         let reference = throughput.max_component();
         if reference <= 0.0 {
             return;
@@ -201,7 +226,7 @@ impl PhotonGather<'_> {
                     sample.add(Part::Direct, throughput * emission * weight);
                 }
             }
-            let Some(map) = &self.maps.global else { return };
+            let Some(map) = &maps.global else { return };
             let bsdf = scene.bsdf(&point);
             if bsdf.lobes().intersects(Lobes::DIFFUSE) {
                 let e = self.precomputed(map, &point, wo);
@@ -219,9 +244,18 @@ impl PhotonGather<'_> {
         }
     }
 
-    /// Irradiance at the nearest photon (Christensen 1999), computed when first asked for.
-    fn precomputed(&self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
-        map.nearest_irradiance(point.position, facing(point.ng, wo), &self.settings.global)
+    fn irradiance(&mut self, map: &PhotonMap, position: Vec3, normal: Vec3, gather: &Gather) -> Rgb {
+        estimate::irradiance_into(map, position, normal, gather, &mut self.buffer).irradiance
+    }
+
+    /// Irradiance at the nearest photon of the surface (Christensen 1999), computed when first asked for.
+    fn precomputed(&mut self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
+        let gather = &self.settings.global;
+        let normal = facing(point.ng, wo);
+        match estimate::nearest_compatible(map, point.position, normal, gather.max_radius_squared) {
+            Some(index) => map.irradiance_at_photon(index, gather, &mut self.buffer),
+            None => Rgb::BLACK,
+        }
     }
 }
 

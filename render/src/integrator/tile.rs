@@ -18,7 +18,7 @@ pub fn render(
     settings: &RenderSettings,
     camera: &Camera,
     space: &SceneSpace,
-    trace: impl Fn(Ray, &mut Sampler) -> Sample,
+    mut trace: impl FnMut(Ray, &mut Sampler) -> Sample,
 ) -> Tile {
     let channels = ChannelSet::new(&settings.layers);
     let mut tile = Tile {

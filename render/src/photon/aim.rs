@@ -225,7 +225,7 @@ fn find_targets(scene: &Scene) -> Vec<Target> {
         let mesh = &scene.meshes[instance.mesh as usize];
         let weight = scene.materials[mesh.material as usize].specular_albedo_bound();
         if weight > 0.0 {
-            let triangles = (0..mesh.triangles.len()).map(|t| mesh.triangle_positions(t, instance)).collect();
+            let triangles = (0..mesh.triangles.len() as u32).map(|t| mesh.triangle_positions(t, instance)).collect();
             clusters.push(cluster(triangles, weight));
         }
     }

@@ -237,7 +237,7 @@ fn collect_emitters(
         let instance = &instances[index];
         for (t, triangle) in mesh.triangles.iter().enumerate() {
             emitters.push(EmissiveTriangle {
-                p: mesh.triangle_positions(t, instance),
+                p: mesh.triangle_positions(t as u32, instance),
                 uv: triangle.map(|v| {
                     [0, 1].map(|set| mesh.uvs[set].as_ref().map_or(Vec2::ZERO, |uv| uv[v as usize]))
                 }),

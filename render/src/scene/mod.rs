@@ -142,11 +142,8 @@ impl Scene {
             .iter()
             .map(|i| {
                 let mesh = &self.meshes[i.mesh as usize];
-                (0..mesh.triangles.len())
-                    .map(|t| {
-                        let [a, b, c] = mesh.triangle_positions(t, i);
-                        f64::from((b - a).cross(c - a).length()) * 0.5
-                    })
+                (0..mesh.triangles.len() as u32)
+                    .map(|t| f64::from(mesh.area(t, i)))
                     .sum::<f64>()
             })
             .sum()
