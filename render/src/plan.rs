@@ -101,7 +101,7 @@ impl Plan {
     fn predict_memory(&mut self, scene: &Scene, settings: &RenderSettings) {
         let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
         let photons = stored(&self.global) + stored(&self.caustic);
-        let map = PhotonMap::memory_bytes_for(photons, false);
+        let map = PhotonMap::memory_bytes_for(photons as usize, false);
         let cache = if settings.final_gather > 0 { 4 * stored(&self.global) } else { 0 };
         let channels = ChannelSet::new(&settings.layers).len() as u64;
         let film = u64::from(settings.width) * u64::from(settings.height) * channels * 4;

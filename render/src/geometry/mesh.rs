@@ -46,6 +46,15 @@ pub struct Instance {
 }
 
 impl Mesh {
+    /// Bytes held.
+    pub fn memory_bytes(&self) -> usize {
+        let per_vertex = size_of::<Vec3>() * (1 + usize::from(self.normals.is_some()))
+            + size_of::<Vec4>() * usize::from(self.tangents.is_some())
+            + size_of::<Vec2>() * self.uvs.iter().flatten().count()
+            + size_of::<[f32; 4]>() * usize::from(self.colors.is_some());
+        self.positions.len() * per_vertex + self.triangles.len() * size_of::<[u32; 3]>()
+    }
+
     /// Box around all vertices, in the mesh's own space.
     pub fn bounds(&self) -> Bounds {
         Bounds::of(self.positions.iter().copied())

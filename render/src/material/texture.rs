@@ -68,6 +68,11 @@ impl Textures {
         })
     }
 
+    /// Bytes held.
+    pub fn memory_bytes(&self) -> usize {
+        self.images.iter().map(|i| i.rgba.len()).sum()
+    }
+
     /// Texels across the longer side of the image behind `reference`; 1 where it leads nowhere.
     pub fn resolution(&self, reference: TextureRef) -> [u32; 2] {
         self.textures

@@ -235,9 +235,17 @@ fn collect_emitters(
         }
         instances[index].first_emitter = Some(emitters.len() as u32);
         let instance = &instances[index];
-        for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let mirrored = instance.transform.is_some_and(|t| t.to_scene.matrix3.determinant() < 0.0);
+        for (t, &triangle) in mesh.triangles.iter().enumerate() {
+            let mut p = mesh.triangle_positions(t as u32, instance);
+            let mut triangle = triangle;
+            if mirrored {
+                // What the author made the front stays the front.
+                p.swap(1, 2);
+                triangle.swap(1, 2);
+            }
             emitters.push(EmissiveTriangle {
-                p: mesh.triangle_positions(t as u32, instance),
+                p,
                 uv: triangle.map(|v| {
                     [0, 1].map(|set| mesh.uvs[set].as_ref().map_or(Vec2::ZERO, |uv| uv[v as usize]))
                 }),
@@ -260,7 +268,8 @@ fn punctual_light(l: &LightDescription, space: &SceneSpace) -> Light {
         LightKind::Point => Light::Point(PointLight { position, intensity }),
         LightKind::Spot { inner, outer } => Light::Spot(SpotLight::new(position, axis, intensity, inner, outer)),
         LightKind::Directional => {
-            Light::Directional(DirectionalLight { direction: axis, irradiance: l.intensity, radius: space.radius })
+            let (scene_center, scene_radius) = (Vec3::ZERO, space.radius);
+            Light::Directional(DirectionalLight { direction: axis, irradiance: l.intensity, scene_center, scene_radius })
         }
     }
 }
