@@ -92,8 +92,7 @@ impl PreparedJob {
         let bounds = builder::world_bounds(&description);
         let mut scene = builder::build(description)?;
         let (width, height) = (settings.width, settings.height);
-        let (camera, note) =
-            builder::choose_camera(&cameras, bounds, &scene.space, &settings.camera, width, height)?;
+        let (camera, note) = builder::choose_camera(&cameras, bounds, &scene.space, &settings.camera, width, height)?;
         let mut warnings = std::mem::take(&mut scene.warnings);
         warnings.extend(note);
         if scene.lights.is_empty() {

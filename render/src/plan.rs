@@ -137,11 +137,7 @@ fn plan_global(scene: &Scene, settings: &RenderSettings) -> Result<EmissionPlan,
     Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None))
 }
 
-fn plan_caustic(
-    scene: &Scene,
-    settings: &RenderSettings,
-    aim: Option<&AimedEmission>,
-) -> Result<EmissionPlan, String> {
+fn plan_caustic(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Result<EmissionPlan, String> {
     common_reason(scene, settings)?;
     if !scene.has_specular_or_glossy() {
         return Err("no surface is specular or glossy".into());
@@ -181,12 +177,7 @@ fn emission_plan(
     EmissionPlan { paths, storage, expected_stored }
 }
 
-fn plan_gather(
-    scene: &Scene,
-    settings: &RenderSettings,
-    has_global: bool,
-    entry: &mut impl FnMut(&str, bool, String),
-) {
+fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
     let (w, h, s) = (settings.width, settings.height, settings.samples);
     entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
     if settings.method == Method::Photon {

@@ -1,5 +1,8 @@
 //! Helpers that tests share.
 
+pub mod fixtures;
+pub mod single;
+
 use gatherlight_render::export::decode;
 use sha2::{Digest, Sha256};
 

@@ -61,7 +61,7 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> f64 {
     light(&mut s);
     // A narrow view of the origin from the side, under the lamp.
     s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
-    let mut settings = settings(method, 1, 4096);
+    let mut settings = settings(method, 1, 65_536);
     settings.photons = 200_000;
     f64::from(color(&render_description(s.scene, &settings), 0, 0).g)
 }
@@ -69,7 +69,7 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> f64 {
 fn check_light(name: &str, irradiance: f64, light: impl Fn(&mut SceneMaker)) {
     for method in Method::ALL {
         let got = radiance_under(&light, method);
-        assert_close(&format!("{name}, {}", method.name()), got, 0.5 / PI * irradiance, 0.004);
+        assert_close(&format!("{name}, {}", method.name()), got, 0.5 / PI * irradiance, 0.002);
     }
 }
 

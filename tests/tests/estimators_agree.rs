@@ -51,7 +51,11 @@ fn assert_agree(name: &str, scene: &SceneDescription, photon: &RenderSettings, p
     for i in 0..a[0].len() {
         let ((ma, va), (mb, vb)) = (column(&a, i), column(&b, i));
         let sigma = (va + vb).sqrt();
-        println!("{name}, block {i}: photon {ma:.5}, path {mb:.5}, {:+.2} σ (σ = {:.2} %)", (ma - mb) / sigma, 100.0 * sigma / mb);
+        println!(
+            "{name}, block {i}: photon {ma:.5}, path {mb:.5}, {:+.2} σ (σ = {:.2} %)",
+            (ma - mb) / sigma,
+            100.0 * sigma / mb
+        );
         assert!(
             (ma - mb).abs() < 4.6 * sigma + bias * mb,
             "{name}, block {i}: photon {ma} and path {mb} differ by {:.1} σ",

@@ -1,7 +1,6 @@
 //! Power is conserved: what is stored is what was emitted, reflected as often as the albedo says.
 
 use gatherlight_render::math::Rgb;
-use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::photon::MapKind;
 use gatherlight_render::photon::aim::AimedEmission;
 use gatherlight_render::photon::trace::{Emission, Storage};

@@ -99,8 +99,8 @@ fn orthographic_cameras_scale_along() {
     let with = |f: f64| {
         let mut d = scaled(room(), f);
         d.cameras[0].projection = Projection::Orthographic { xmag: 1.5 * f, ymag: 1.5 * f };
-        d.cameras[0].to_world = DAffine3::from_scale(DVec3::splat(f))
-            * look_along(DVec3::new(0.0, 0.0, 1.75), DVec3::NEG_Z);
+        d.cameras[0].to_world =
+            DAffine3::from_scale(DVec3::splat(f)) * look_along(DVec3::new(0.0, 0.0, 1.75), DVec3::NEG_Z);
         image(d, Method::Path)
     };
     assert!(with(1.0).pixels == with(2f64.powi(10)).pixels);

@@ -4,12 +4,12 @@
 
 use super::direct::{LightDirection, light_pdf};
 use super::sample::{FirstHit, Part, Sample, Stage};
-use crate::scene::segment::Interior;
 use crate::geometry::{Ray, SurfacePoint};
 use crate::material::{Bsdf, Lobes, TransportMode};
 use crate::math::sobol::Sampler;
 use crate::math::{Rgb, heuristic, roulette};
 use crate::scene::Scene;
+use crate::scene::segment::Interior;
 use glam::Vec3;
 
 /// The direction a path came along: what MIS needs to know of the last scattering.
@@ -59,10 +59,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
         }
         throughput *= 1.0 / survival;
         stage = stage.after(s.lobe);
-        arrival = Arrival {
-            from: point.position,
-            pdf: if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf },
-        };
+        arrival = Arrival { from: point.position, pdf: if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf } };
         if s.transmitted {
             interior = interior.crossed(scene, &point, s.wi);
         }
@@ -74,11 +71,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
 /// What the image layers show of the first surface.
 pub(super) fn first_hit(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3) -> FirstHit {
     let n = bsdf.shading_normal();
-    FirstHit {
-        position: point.position,
-        normal: if n.dot(wo) < 0.0 { -n } else { n },
-        albedo: bsdf.albedo(wo),
-    }
+    FirstHit { position: point.position, normal: if n.dot(wo) < 0.0 { -n } else { n }, albedo: bsdf.albedo(wo) }
 }
 
 #[allow(clippy::too_many_arguments)] // the state of a path vertex, spelled out

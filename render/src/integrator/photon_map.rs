@@ -57,6 +57,9 @@ impl GatherSettings {
             };
             Gather { k: settings.k, max_radius_squared: radius * radius, kernel: settings.kernel }
         };
+        if let Some(map) = maps.global.as_ref().filter(|_| settings.final_gather > 0) {
+            map.enable_irradiance_cache();
+        }
         GatherSettings {
             global: gather(&maps.global),
             caustic: gather(&maps.caustic),
@@ -90,7 +93,8 @@ impl PhotonGather<'_> {
             throughput *= interior.transmittance_to(scene, &point, wo, distance);
             let emission = scene.emission(&point, wo);
             if !emission.is_black() {
-                let weight = if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &ray, distance, &point) };
+                let weight =
+                    if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &ray, distance, &point) };
                 sample.add(Part::Direct, throughput * emission * weight);
             }
             let bsdf = scene.bsdf(&point);

@@ -1,7 +1,7 @@
 //! What one camera sample finds.
 
-use crate::math::Rgb;
 use crate::material::Lobes;
+use crate::math::Rgb;
 use glam::Vec3;
 
 /// Radiance of one camera sample, in its three parts, and what its first hit is.

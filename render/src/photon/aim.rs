@@ -254,8 +254,8 @@ fn merge_down(clusters: &mut Vec<Cluster>) {
 fn split_up(clusters: &mut Vec<Cluster>) {
     let mut done = Vec::new();
     while clusters.len() + done.len() < MAX_TARGETS {
-        let largest = (0..clusters.len())
-            .max_by(|&a, &b| clusters[a].target.radius.total_cmp(&clusters[b].target.radius));
+        let largest =
+            (0..clusters.len()).max_by(|&a, &b| clusters[a].target.radius.total_cmp(&clusters[b].target.radius));
         let Some(i) = largest else { break };
         let c = clusters.swap_remove(i);
         match halves(&c) {
@@ -289,10 +289,8 @@ fn halves(c: &Cluster) -> Option<(Cluster, Cluster)> {
 }
 
 fn cluster(triangles: Vec<[Vec3; 3]>, weight: f32) -> Cluster {
-    let (lo, hi) = triangles
-        .iter()
-        .flatten()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)));
+    let (lo, hi) =
+        triangles.iter().flatten().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)));
     let center = (lo + hi) * 0.5;
     let radius = triangles.iter().flatten().map(|p| (*p - center).length()).fold(0.0, f32::max);
     // Rounding of the centre and the lengths: a few units in the last place of coordinates below 2.

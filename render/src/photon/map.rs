@@ -1,6 +1,6 @@
 //! The photon map: merged photons in tree order, as it is built once, broadcast, and searched by every worker.
 
-use super::estimate::{Gather, irradiance_into};
+use super::estimate::{Gather, choose_max_radius, irradiance_into};
 use super::kdtree::{KdTree, MAX_TREE_PHOTONS};
 use super::pack::{decode_direction, decode_normal, decode_rgbe, encode_rgbe};
 use super::query::NeighbourBuffer;
@@ -8,8 +8,8 @@ use super::{EmissionRange, MapKind, PhotonBatch};
 use crate::math::Rgb;
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// The maps a gather pass reads.
 #[derive(Clone, Default, Debug)]
@@ -30,7 +30,9 @@ pub struct PhotonMap {
     normals: Vec<u16>,
     directions: Option<Vec<u32>>,
     /// Irradiance at each photon as RGBE; 0 where nobody has looked yet, [`BLACK_IRRADIANCE`] for none.
-    irradiance: Option<Vec<AtomicU32>>,
+    irradiance: OnceLock<Vec<AtomicU32>>,
+    /// [`choose_max_radius`] for the k it was first asked for.
+    default_max_radius: OnceLock<(u32, f32)>,
 }
 
 /// Marks an irradiance of zero in the cache: decodes to black, and no power encodes to it.
@@ -102,7 +104,8 @@ impl PhotonMap {
             powers: permute(powers, &order),
             normals: permute(normals, &order),
             directions: directions.map(|d| permute(d, &order)),
-            irradiance: None,
+            irradiance: OnceLock::new(),
+            default_max_radius: OnceLock::new(),
         }
     }
 
@@ -137,7 +140,16 @@ impl PhotonMap {
             return Err(MapError::NotFinite { kind, index });
         }
         let tree = KdTree::from_tree_order(coordinates);
-        Ok(PhotonMap { kind, emitted_count, tree, powers, normals, directions, irradiance: None })
+        Ok(PhotonMap {
+            kind,
+            emitted_count,
+            tree,
+            powers,
+            normals,
+            directions,
+            irradiance: OnceLock::new(),
+            default_max_radius: OnceLock::new(),
+        })
     }
 
     /// Takes the map apart for the wire.
@@ -209,9 +221,15 @@ impl PhotonMap {
         self.directions.as_deref()
     }
 
+    /// [`choose_max_radius`], remembered for the k it is first asked for.
+    pub fn default_max_radius(&self, k: u32) -> f32 {
+        let &(known, radius) = self.default_max_radius.get_or_init(|| (k, choose_max_radius(self, k)));
+        if known == k { radius } else { choose_max_radius(self, k) }
+    }
+
     /// Memory the map holds, its tree and caches included.
     pub fn memory_bytes(&self) -> u64 {
-        let cache = self.irradiance.as_ref().map_or(0, |c| 4 * c.len() as u64);
+        let cache = self.irradiance.get().map_or(0, |c| 4 * c.len() as u64);
         Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache
     }
     /// Memory of a map of `count` photons, without the irradiance cache (4 bytes a photon).
@@ -237,10 +255,8 @@ impl PhotonMap {
     }
 
     /// Allocates the cache of [`Self::irradiance_at_photon`], 4 bytes a photon.
-    pub fn enable_irradiance_cache(&mut self) {
-        if self.irradiance.is_none() {
-            self.irradiance = Some((0..self.stored_count()).map(|_| AtomicU32::new(0)).collect());
-        }
+    pub fn enable_irradiance_cache(&self) {
+        self.irradiance.get_or_init(|| (0..self.stored_count()).map(|_| AtomicU32::new(0)).collect());
     }
 
     /// Irradiance at photon `index` on its side of the surface (Christensen 1999, "precomputed irradiance"), computed when
@@ -249,7 +265,7 @@ impl PhotonMap {
     /// The value is rounded to RGBE either way, so that it does not depend on the cache. All calls on one map must pass
     /// equal `gather` when the cache is enabled: it holds one value a photon.
     pub fn irradiance_at_photon(&self, index: u32, gather: &Gather, buffer: &mut NeighbourBuffer) -> Rgb {
-        let slot = self.irradiance.as_ref().map(|cache| &cache[index as usize]);
+        let slot = self.irradiance.get().map(|cache| &cache[index as usize]);
         if let Some(slot) = slot {
             let code = slot.load(Ordering::Relaxed);
             if code != 0 {

@@ -161,13 +161,7 @@ fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<P
 
 /// Russian roulette between diffuse reflection, other scattering and absorption (Jensen 2001, §5.2). Returns the sample
 /// within the chosen lobe set and the probability of that choice, so that the caller divides by it.
-fn scatter(
-    bsdf: &Bsdf,
-    wo: Vec3,
-    lobes: Lobes,
-    bounce: u32,
-    sampler: &mut Sampler,
-) -> Option<(BsdfSample, f32)> {
+fn scatter(bsdf: &Bsdf, wo: Vec3, lobes: Lobes, bounce: u32, sampler: &mut Sampler) -> Option<(BsdfSample, f32)> {
     let (mut u_choice, u) = (sampler.next_1d(), sampler.next_3d());
     let (mut d, s) = bsdf.roulette_albedos(wo, TransportMode::Importance);
     if !lobes.intersects(Lobes::DIFFUSE) {

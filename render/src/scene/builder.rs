@@ -24,19 +24,16 @@ const SMALL_MESH_TRIANGLES: usize = 64;
 pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
     check_indices(&description)?;
     let space = SceneSpace::from_bounds(world_bounds(&description));
-    let textures =
-        Textures::new(std::mem::take(&mut description.textures), std::mem::take(&mut description.images));
-    let materials: Vec<Material> =
-        description.materials.iter().map(|m| Material::new(m, space.scale as f32)).collect();
+    let textures = Textures::new(std::mem::take(&mut description.textures), std::mem::take(&mut description.images));
+    let materials: Vec<Material> = description.materials.iter().map(|m| Material::new(m, space.scale as f32)).collect();
     let (meshes, mut instances) = place_meshes(&description, &space)?;
     let emitters = collect_emitters(&meshes, &mut instances, &materials);
     let punctual = description.lights.iter().map(|l| punctual_light(l, &space)).collect();
     let context = LightContext { materials: &materials, textures: &textures };
     let lights = Lights::build(&emitters, punctual, &context);
     let accelerator = Accelerator::build(&meshes, &instances);
-    let has_alpha_masks = instances
-        .iter()
-        .any(|i| materials[meshes[i.mesh as usize].material as usize].has_alpha_mask());
+    let has_alpha_masks =
+        instances.iter().any(|i| materials[meshes[i.mesh as usize].material as usize].has_alpha_mask());
     Ok(Scene {
         accelerator,
         meshes,
@@ -84,7 +81,8 @@ pub fn choose_camera(
         CameraChoice::First => "0".into(),
     };
     let list: Vec<String> = cameras.iter().enumerate().map(|(i, c)| format!("{i} {:?}", c.name)).collect();
-    let list = if list.is_empty() { "the scene has none".to_string() } else { format!("there are {}", list.join(", ")) };
+    let list =
+        if list.is_empty() { "the scene has none".to_string() } else { format!("there are {}", list.join(", ")) };
     Err(SceneError::invalid("--camera", format!("no camera {wanted}; {list}")))
 }
 
@@ -222,11 +220,7 @@ fn unit_mesh(source: &Mesh) -> (Mesh, DAffine3) {
     (mesh, DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(scale.recip())), translation: center })
 }
 
-fn collect_emitters(
-    meshes: &[Arc<Mesh>],
-    instances: &mut [Instance],
-    materials: &[Material],
-) -> Vec<EmissiveTriangle> {
+fn collect_emitters(meshes: &[Arc<Mesh>], instances: &mut [Instance], materials: &[Material]) -> Vec<EmissiveTriangle> {
     let mut emitters = Vec::new();
     for index in 0..instances.len() {
         let mesh = &meshes[instances[index].mesh as usize];
@@ -246,9 +240,7 @@ fn collect_emitters(
             }
             emitters.push(EmissiveTriangle {
                 p,
-                uv: triangle.map(|v| {
-                    [0, 1].map(|set| mesh.uvs[set].as_ref().map_or(Vec2::ZERO, |uv| uv[v as usize]))
-                }),
+                uv: triangle.map(|v| [0, 1].map(|set| mesh.uvs[set].as_ref().map_or(Vec2::ZERO, |uv| uv[v as usize]))),
                 color: triangle.map(|v| mesh.colors.as_ref().map_or([1.0; 4], |c| c[v as usize])),
                 material: mesh.material,
                 instance: index as u32,
@@ -269,7 +261,12 @@ fn punctual_light(l: &LightDescription, space: &SceneSpace) -> Light {
         LightKind::Spot { inner, outer } => Light::Spot(SpotLight::new(position, axis, intensity, inner, outer)),
         LightKind::Directional => {
             let (scene_center, scene_radius) = (Vec3::ZERO, space.radius);
-            Light::Directional(DirectionalLight { direction: axis, irradiance: l.intensity, scene_center, scene_radius })
+            Light::Directional(DirectionalLight {
+                direction: axis,
+                irradiance: l.intensity,
+                scene_center,
+                scene_radius,
+            })
         }
     }
 }

@@ -142,9 +142,7 @@ impl Scene {
             .iter()
             .map(|i| {
                 let mesh = &self.meshes[i.mesh as usize];
-                (0..mesh.triangles.len() as u32)
-                    .map(|t| f64::from(mesh.area(t, i)))
-                    .sum::<f64>()
+                (0..mesh.triangles.len() as u32).map(|t| f64::from(mesh.area(t, i))).sum::<f64>()
             })
             .sum()
     }

@@ -1,8 +1,8 @@
 //! The body a path segment runs through, for Beer–Lambert attenuation.
 
+use super::Scene;
 use crate::geometry::SurfacePoint;
 use crate::math::Rgb;
-use super::Scene;
 use glam::Vec3;
 
 /// Which absorbing body a path is in: the index of the material that bounds it.

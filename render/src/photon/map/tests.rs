@@ -126,7 +126,7 @@ fn memory_stays_within_32_bytes_a_photon() {
             assert!(bytes <= if directions { 28.0 } else { 24.0 }, "{n}: {bytes}");
         }
     }
-    let mut map = PhotonMap::build(MapKind::Global, batch(70_000, true));
+    let map = PhotonMap::build(MapKind::Global, batch(70_000, true));
     map.enable_irradiance_cache();
     let cache = map.irradiance.as_ref().unwrap();
     let held = [0, 1, 2].map(|a| map.tree.coordinates(a).len() * 4).iter().sum::<usize>()
@@ -158,7 +158,7 @@ fn cached_irradiance_is_the_estimate_rounded_with_and_without_the_cache() {
 fn black_irradiance_is_remembered() {
     let mut dark = batch(10, false);
     dark.powers.fill(0);
-    let mut map = PhotonMap::build(MapKind::Global, dark);
+    let map = PhotonMap::build(MapKind::Global, dark);
     map.enable_irradiance_cache();
     let gather = Gather { k: 3, max_radius_squared: 4.0, kernel: Kernel::Constant };
     assert_eq!(map.irradiance_at_photon(4, &gather, &mut NeighbourBuffer::new()), Rgb::BLACK);
