@@ -128,7 +128,7 @@ fn memory_stays_within_32_bytes_a_photon() {
     }
     let map = PhotonMap::build(MapKind::Global, batch(70_000, true));
     map.enable_irradiance_cache();
-    let cache = map.irradiance.as_ref().unwrap();
+    let cache = map.irradiance.get().unwrap();
     let held = [0, 1, 2].map(|a| map.tree.coordinates(a).len() * 4).iter().sum::<usize>()
         + map.powers.capacity() * 4
         + map.normals.capacity() * 2
@@ -141,7 +141,7 @@ fn memory_stays_within_32_bytes_a_photon() {
 fn cached_irradiance_is_the_estimate_rounded_with_and_without_the_cache() {
     let gather = Gather { k: 40, max_radius_squared: 0.01, kernel: Kernel::Constant };
     let plain = PhotonMap::build(MapKind::Global, batch(2000, false));
-    let mut cached = PhotonMap::build(MapKind::Global, batch(2000, false));
+    let cached = PhotonMap::build(MapKind::Global, batch(2000, false));
     cached.enable_irradiance_cache();
     let mut buffer = NeighbourBuffer::new();
     for i in 0..2000 {
@@ -162,6 +162,6 @@ fn black_irradiance_is_remembered() {
     map.enable_irradiance_cache();
     let gather = Gather { k: 3, max_radius_squared: 4.0, kernel: Kernel::Constant };
     assert_eq!(map.irradiance_at_photon(4, &gather, &mut NeighbourBuffer::new()), Rgb::BLACK);
-    assert_eq!(map.irradiance.as_ref().unwrap()[4].load(Ordering::Relaxed), BLACK_IRRADIANCE);
+    assert_eq!(map.irradiance.get().unwrap()[4].load(Ordering::Relaxed), BLACK_IRRADIANCE);
     assert_eq!(decode_rgbe(BLACK_IRRADIANCE), Rgb::BLACK);
 }
