@@ -117,7 +117,7 @@ fn check_version(version: &Item, least: bool) -> Result<()> {
 #[derive(Default)]
 pub(super) struct Warnings {
     list: Vec<String>,
-    more: usize,
+    more: bool,
 }
 
 impl Warnings {
@@ -127,12 +127,12 @@ impl Warnings {
         if self.list.contains(&message) {
             return;
         }
-        if self.list.len() < MAX_WARNINGS { self.list.push(message) } else { self.more += 1 }
+        if self.list.len() < MAX_WARNINGS { self.list.push(message) } else { self.more = true }
     }
     /// The warnings in the order they came.
     pub(super) fn finish(mut self) -> Vec<String> {
-        if self.more > 0 {
-            self.list.push(format!("{} further warnings of this kind are not shown", self.more));
+        if self.more {
+            self.list.push("further warnings are not shown".into());
         }
         self.list
     }

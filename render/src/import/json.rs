@@ -69,6 +69,10 @@ impl<'a> Item<'a> {
     pub(super) fn place(&self) -> String {
         if self.path.is_empty() { self.file.into() } else { format!("{}: {}", self.file, self.path) }
     }
+    /// `path` within the file.
+    pub(super) fn path(&self) -> &str {
+        &self.path
+    }
     /// An error at this place.
     pub(super) fn error(&self, message: impl Into<String>) -> SceneError {
         SceneError::invalid(self.place(), message)

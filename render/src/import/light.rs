@@ -30,8 +30,9 @@ pub(super) fn read_all(
             let count = list.values().map_or(0, <[_]>::len);
             reference.error(format!("refers to light {}, but there are {count}", reference.unsigned().unwrap_or(0)))
         })?;
-        let name = item.opt("name", Item::text)?.filter(|n| !n.is_empty());
-        let name = name.map_or_else(|| doc.label("node", "nodes", placement.node), str::to_owned);
+        let own = item.opt("name", Item::text)?.unwrap_or("");
+        let name = [doc.name("nodes", placement.node), own].into_iter().find(|n| !n.is_empty());
+        let name = name.map_or_else(|| format!("lights[{}]", reference.unsigned().unwrap_or(0)), str::to_owned);
         let light = read(&item, name, placement, warnings)?;
         let determinant = placement.to_world.matrix3.determinant();
         if light.kind != LightKind::Point && (determinant == 0.0 || !determinant.is_finite()) {

@@ -15,7 +15,7 @@ pub const MAX_IMAGE_PIXELS: u64 = 16_384 * 16_384;
 pub const MAX_TOTAL_PIXELS: u64 = 1 << 29;
 /// A deflate stream unfolds at most this many times; a PNG that claims more is damaged or hostile.
 pub const MAX_DEFLATE_RATIO: u64 = 1032;
-/// Warnings kept; the rest are counted.
+/// Warnings kept; that there are more is said.
 pub const MAX_WARNINGS: usize = 64;
 /// Characters of a name or URI quoted in a message.
 pub const MAX_QUOTED_CHARS: usize = 80;

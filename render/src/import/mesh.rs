@@ -197,7 +197,7 @@ impl<'r, 'a> MeshReader<'r, 'a> {
             if let Some(over) = triangle.into_iter().find(|v| *v as usize >= vertex_count) {
                 return Err(crate::error::SceneError::invalid(
                     layout.place(),
-                    format!("triangle {t} names vertex {over}, but {} has {vertex_count} vertices", item.place()),
+                    format!("triangle {t} names vertex {over}, but {} has {vertex_count} vertices", item.path()),
                 ));
             }
             triangles.push(triangle);

@@ -9,6 +9,7 @@ mod buffer;
 mod camera;
 mod document;
 mod extensions;
+mod flatten;
 mod glb;
 mod image;
 mod json;
@@ -34,6 +35,7 @@ use material::Materials;
 use mesh::{Budget, MeshReader};
 use nodes::Placement;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A scene file with every external file it names, as bytes: what a client packs and a cluster passes on.
@@ -104,13 +106,7 @@ pub fn load(bundle: &SceneBundle) -> Result<SceneDescription> {
         scene.meshes.extend(reader.read(mesh)?);
         ranges.insert(mesh, first..scene.meshes.len());
     }
-    for placement in &placements {
-        let Some(mesh) = doc.reference(&doc.item("nodes", placement.node)?, "mesh", "meshes")? else { continue };
-        for mesh in ranges.get(&mesh).cloned().into_iter().flatten() {
-            let name = doc.name("nodes", placement.node).to_owned();
-            scene.instances.push(InstanceDescription { mesh, to_world: placement.to_world, name });
-        }
-    }
+    place_meshes(&doc, &placements, &ranges, &mut scene, &mut warnings)?;
     scene.images =
         image::read_all(&doc, &materials.textures.images, &views, &buffers, &bundle.externals, &mut warnings)?;
     scene.textures = materials.textures.list;
@@ -119,6 +115,40 @@ pub fn load(bundle: &SceneBundle) -> Result<SceneDescription> {
     scene.lights = light::read_all(&doc, &placements, &mut warnings)?;
     scene.warnings = warnings.finish();
     Ok(scene)
+}
+
+/// One instance for each placement of each primitive.
+fn place_meshes(
+    doc: &Document,
+    placements: &[Placement],
+    ranges: &BTreeMap<usize, Range<usize>>,
+    scene: &mut SceneDescription,
+    warnings: &mut Warnings,
+) -> Result<()> {
+    for &Placement { node, to_world } in placements {
+        let Some(mesh) = doc.reference(&doc.item("nodes", node)?, "mesh", "meshes")? else { continue };
+        let name = doc.name("nodes", node).to_owned();
+        let flat = flatten::is_flat(&to_world);
+        if flat {
+            let label = doc.label("node", "nodes", node);
+            warnings.add(format!(
+                "{label} is squashed flat by a scale of zero; its mesh is shown as a sheet with flat normals"
+            ));
+        }
+        for mesh in ranges.get(&mesh).cloned().into_iter().flatten() {
+            let (mesh, to_world) =
+                match scene.meshes.get(mesh).filter(|_| flat).map(|m| flatten::flattened(m, &to_world)) {
+                    None => (mesh, to_world),
+                    Some(None) => continue,
+                    Some(Some((sheet, translation))) => {
+                        scene.meshes.push(sheet);
+                        (scene.meshes.len() - 1, translation)
+                    }
+                };
+            scene.instances.push(InstanceDescription { mesh, to_world, name: name.clone() });
+        }
+    }
+    Ok(())
 }
 
 /// What can be known without the buffers.
