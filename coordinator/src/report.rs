@@ -3,17 +3,24 @@
 use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
 use gatherlight_render::film::Film;
+use gatherlight_render::job::PreparedJob;
+use gatherlight_render::plan::Plan;
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use serde_json::{Value, json};
 use std::time::Duration;
 
 /// The attributes of a finished image: the same wherever the job ran, because nothing in them depends on where or how
 /// fast it did.
-pub fn image_metadata(
+pub fn image_metadata(job: &PreparedJob, stats: &JobStats) -> ImageMetadata {
+    metadata(job.scene_digest().to_string(), job.settings(), plan_lines(job.plan()), stats)
+}
+
+/// [`image_metadata`] from what outlives the prepared job.
+pub(crate) fn metadata(
     scene_digest: String,
     settings: &RenderSettings,
-    stats: &JobStats,
     plan: Vec<String>,
+    stats: &JobStats,
 ) -> ImageMetadata {
     let map = |m: &MapStats| MapMetadata {
         kind: m.kind,
@@ -29,6 +36,12 @@ pub fn image_metadata(
         plan,
         non_finite: stats.non_finite,
     }
+}
+
+/// What is computed and what is left out, with the reason: one line each.
+pub fn plan_lines(plan: &Plan) -> Vec<String> {
+    let verb = |kept| if kept { "computed" } else { "left out" };
+    plan.entries.iter().map(|e| format!("{}  {}: {}", verb(e.kept), e.what, e.reason)).collect()
 }
 
 /// The noise of an image, from the variance its layers carry.

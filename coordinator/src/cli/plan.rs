@@ -40,7 +40,7 @@ pub(super) fn run(args: &PlanArgs) -> CliResult {
             "warnings": preflight.warnings,
         }));
     } else {
-        print_result(&format!("{} {}\n{}", bundle.name, settings_text(&settings), preflight.plan.join("\n")));
+        print_result(&format!("{} {}\n{}", bundle.name, settings_text(&settings), preflight.text()));
     }
     Ok(())
 }

@@ -1,22 +1,27 @@
 //! What is known before any work: the plan and the warnings.
 
 use super::error::CliError;
+use super::format::bytes;
 use super::progress::warn;
+use crate::report;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{Phase, PreparedJob};
+use gatherlight_render::plan::{EmissionPlan, Plan};
 use gatherlight_render::settings::RenderSettings;
 use serde_json::{Value, json};
 
 /// What a scene and its settings will lead to.
 pub(super) struct Preflight {
     /// Digest of the scene.
-    pub digest: String,
-    /// The plan, line by line.
-    pub plan: Vec<String>,
+    pub(super) digest: String,
+    /// What is computed and what is left out, with the reason: one line each.
+    pub(super) plan: Vec<String>,
+    /// Expected memory and traffic, for people.
+    pub(super) costs: String,
     /// What a user should know.
-    pub warnings: Vec<String>,
+    pub(super) warnings: Vec<String>,
     /// The plan for scripts.
-    pub json: Value,
+    pub(super) json: Value,
 }
 
 impl Preflight {
@@ -26,9 +31,13 @@ impl Preflight {
     /// When the scene or a setting makes no sense.
     pub(super) fn new(bundle: &SceneBundle, settings: &RenderSettings) -> Result<Self, CliError> {
         let job = PreparedJob::prepare(bundle, settings)?;
-        let plan = job.phases().iter().map(phase_line).collect();
-        let phases: Vec<Value> = job.phases().iter().map(phase_json).collect();
-        Ok(Preflight { digest: String::new(), plan, warnings: Vec::new(), json: json!({ "phases": phases }) })
+        Ok(Preflight {
+            digest: job.scene_digest().to_string(),
+            plan: report::plan_lines(job.plan()),
+            costs: costs(job.plan()),
+            warnings: job.warnings().to_vec(),
+            json: plan_json(&job),
+        })
     }
 
     /// Prints the warnings.
@@ -36,25 +45,50 @@ impl Preflight {
     /// # Errors
     /// With `strict` a warning is an error.
     pub(super) fn report_warnings(&self, strict: bool) -> Result<(), CliError> {
-        if let (true, Some(first)) = (strict, self.warnings.first()) {
-            let more = match self.warnings.len() {
-                1 => String::new(),
-                n => format!(" (and {} more)", n - 1),
-            };
-            return Err(CliError::Failed(format!("{first}{more}; without --strict this is a warning")));
+        if strict && !self.warnings.is_empty() {
+            let all = self.warnings.join("; ");
+            return Err(CliError::Failed(format!("{all}; without --strict this is only a warning")));
         }
         self.warnings.iter().for_each(|w| warn(w));
         Ok(())
     }
+
+    /// The plan as it is printed.
+    pub(super) fn text(&self) -> String {
+        format!("{}\n{}", self.plan.join("\n"), self.costs)
+    }
 }
 
-fn phase_line(phase: &Phase) -> String {
-    match phase {
-        Phase::Emission { map, paths } => {
-            format!("emission {}: {} paths", map.name(), super::format::grouped(*paths))
-        }
-        Phase::Gather { tiles } => format!("gather: {} tiles", super::format::grouped(u64::from(*tiles))),
+fn costs(plan: &Plan) -> String {
+    let mut text = format!("peak memory about {} in one process", bytes(plan.single_process_bytes));
+    text.push_str(&format!(
+        "; on a cluster {} a worker and {} the coordinator",
+        bytes(plan.worker_bytes),
+        bytes(plan.coordinator_bytes)
+    ));
+    if plan.broadcast_bytes > 0 {
+        text.push_str(&format!(", {} of maps sent to each worker", bytes(plan.broadcast_bytes)));
     }
+    text
+}
+
+fn plan_json(job: &PreparedJob) -> Value {
+    let plan = job.plan();
+    let entries: Vec<Value> =
+        plan.entries.iter().map(|e| json!({ "what": e.what, "kept": e.kept, "reason": e.reason })).collect();
+    let emission = |e: &Option<EmissionPlan>| {
+        e.as_ref().map(|e| json!({ "paths": e.paths, "expected_stored": e.expected_stored }))
+    };
+    json!({
+        "phases": job.phases().iter().map(phase_json).collect::<Vec<_>>(),
+        "entries": entries,
+        "global": emission(&plan.global),
+        "caustic": emission(&plan.caustic),
+        "single_process_bytes": plan.single_process_bytes,
+        "worker_bytes": plan.worker_bytes,
+        "coordinator_bytes": plan.coordinator_bytes,
+        "broadcast_bytes": plan.broadcast_bytes,
+    })
 }
 
 fn phase_json(phase: &Phase) -> Value {

@@ -50,7 +50,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let (bundle, settings) = args.scene.load()?;
     let preflight = Preflight::new(&bundle, &settings)?;
     preflight.report_warnings(args.strict)?;
-    preflight.plan.iter().for_each(|line| args.messages.note(line));
+    args.messages.note(&preflight.text());
 
     let config = embedded::Config { threads: args.threads, ..Default::default() };
     let mut view = JobView::new(args.messages.style());
@@ -58,7 +58,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     view.end();
     let result = result?;
 
-    let meta = report::image_metadata(preflight.digest, &settings, &result.stats, preflight.plan);
+    let meta = report::metadata(preflight.digest, &settings, preflight.plan, &result.stats);
     output.write(&export::encode(&result.film, &meta)?)?;
     let summary = Summary {
         noise: report::noise(&result.film),

@@ -52,7 +52,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let (bundle, settings) = args.scene.load()?;
     let preflight = Preflight::new(&bundle, &settings)?;
     preflight.report_warnings(args.strict)?;
-    preflight.plan.iter().for_each(|line| args.messages.note(line));
+    args.messages.note(&preflight.text());
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
     let request = SubmitRequest { name, bundle, settings };
     args.connection.run(|client| submit(client, args, request, output))
