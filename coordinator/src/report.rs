@@ -4,7 +4,7 @@ use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
 use gatherlight_render::film::Film;
 use gatherlight_render::job::PreparedJob;
-use gatherlight_render::plan::Plan;
+use gatherlight_render::plan::{Plan, PlanEntry};
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -38,10 +38,18 @@ pub(crate) fn metadata(
     }
 }
 
-/// What is computed and what is left out, with the reason: one line each.
+/// What is computed and what is left out, with the reason: one line for each reason in a row.
 pub fn plan_lines(plan: &Plan) -> Vec<String> {
-    let verb = |kept| if kept { "computed" } else { "left out" };
-    plan.entries.iter().map(|e| format!("{}  {}: {}", verb(e.kept), e.what, e.reason)).collect()
+    let same = |a: &PlanEntry, b: &PlanEntry| a.kept == b.kept && a.reason == b.reason;
+    plan.entries
+        .chunk_by(same)
+        .filter_map(|group| group.first().map(|first| (group, first)))
+        .map(|(group, first)| {
+            let verb = if first.kept { "computed" } else { "left out" };
+            let things: Vec<&str> = group.iter().map(|e| e.what.as_str()).collect();
+            format!("{verb}  {}: {}", things.join(", "), first.reason)
+        })
+        .collect()
 }
 
 /// The noise of an image, from the variance its layers carry.

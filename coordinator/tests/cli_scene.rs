@@ -1,0 +1,66 @@
+//! What the program says about a scene before it renders: cameras, lights, warnings, the plan.
+
+mod common;
+
+use common::{Triangle, run, scene, triangle_dir};
+
+#[test]
+fn an_unknown_camera_lists_those_there_are() {
+    let dir = triangle_dir();
+    run(dir.path(), "plan triangle.gltf --camera narrow").says(2, &["--camera", "\"narrow\"", "wide", "tall"]);
+    run(dir.path(), "plan triangle.gltf --camera 2").says(2, &["--camera", "wide", "tall"]);
+}
+
+#[test]
+fn a_scene_without_camera_or_light_gives_warnings_or_with_strict_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    Triangle { light: true, cameras: false }.write(dir.path());
+    run(dir.path(), "plan triangle.gltf").says(0, &["warning:", "no camera", "frames"]);
+    run(dir.path(), "plan triangle.gltf --strict").says(1, &["error:", "no camera", "--strict"]);
+    Triangle { light: false, cameras: true }.write(dir.path());
+    run(dir.path(), "plan triangle.gltf").says(0, &["warning:", "no light", "black"]);
+    run(dir.path(), "render triangle.gltf -o x.exr --strict").says(1, &["error:", "no light", "--strict"]);
+    assert!(!dir.path().join("x.exr").exists());
+}
+
+#[test]
+fn the_image_has_the_camera_s_shape_unless_told_otherwise() {
+    let dir = triangle_dir();
+    let size = |options: &str| {
+        let plan = run(dir.path(), &format!("plan triangle.gltf --json {options}")).json();
+        let words: Vec<String> = plan["settings"].as_str().unwrap().split(' ').map(String::from).collect();
+        let after = |option: &str| {
+            let at = words.iter().position(|w| w == option).unwrap();
+            words[at + 1].parse::<u32>().unwrap()
+        };
+        (after("--width"), after("--height"))
+    };
+    assert_eq!(size(""), (1024, 512));
+    assert_eq!(size("--camera tall"), (256, 512));
+    assert_eq!(size("--camera 1 --width 300"), (300, 600));
+    assert_eq!(size("--height 100"), (200, 100));
+    assert_eq!(size("--width 64 --height 64"), (64, 64));
+    // A side that follows from the camera may be out of range, too.
+    run(dir.path(), "plan triangle.gltf --height 40000").says(2, &["--width", "65536"]);
+}
+
+#[test]
+fn the_plan_says_what_is_left_out_and_why() {
+    let dir = tempfile::tempdir().unwrap();
+    let plan = |name: &str, options: &str| {
+        let path = scene(name);
+        let all = run(dir.path(), &format!("plan {} {options} --json", path.display())).json();
+        let entries = all["plan"]["entries"].as_array().unwrap().clone();
+        move |what: &str| {
+            let entry = entries.iter().find(|e| e["what"] == what);
+            entry.and_then(|e| e["kept"].as_bool())
+        }
+    };
+    let diffuse = plan("cornell-diffuse.glb", "");
+    assert_eq!((diffuse("global photon map"), diffuse("caustic photon map")), (Some(true), Some(false)));
+    assert_eq!(plan("cornell-caustic.glb", "")("caustic photon map"), Some(true));
+    let path = plan("cornell-caustic.glb", "--method path");
+    assert_eq!((path("global photon map"), path("caustic photon map")), (Some(false), Some(false)));
+    let text = run(dir.path(), &format!("plan {}", scene("cornell-diffuse.glb").display()));
+    assert!(text.out.contains("left out  caustic photon map: ") && text.out.contains("peak memory about"), "{text:?}");
+}
