@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "\
-relMSE = mean((a - r)^2 / (r^2 + 0.01)) over pixels and channels; trimmed: without the worst 0.1 % of the pixels;
+relMSE = mean((a - r)^2 / (r^2 + 0.01)) over pixels and channels; trimmed: without the worst 0.1 % of the pixels; \
 bias = mean(a) / mean(r) - 1. The colours are R G B, or those of the first layer that has them.
 
 Examples:

@@ -142,7 +142,7 @@ fn units(state: &JobState, n: f64) -> String {
         JobState::Emission(_) => format!("{} paths", count(n)),
         JobState::Merge(_) => format!("{} photons", count(n)),
         JobState::Broadcast => bytes(n.max(0.0) as u64),
-        JobState::Gather => format!("{} tiles", count(n.round())),
+        JobState::Gather => format!("{} tiles", count(n)),
         _ => count(n),
     }
 }
@@ -164,7 +164,8 @@ fn running_text(state: &JobState, f: Figures, workers: u32) -> String {
 fn ended_text(state: &JobState, f: Figures) -> String {
     let time = duration(f.elapsed);
     let what = if f.total > 0 { format!("{} in {time}", units(state, f.done as f64)) } else { time };
-    let rate = if f.rate > 0.0 && f.total > 0 { format!(" ({}/s)", units(state, f.rate)) } else { String::new() };
+    let per_second = f.done as f64 / f.elapsed.as_secs_f64();
+    let rate = if per_second.is_normal() { format!(" ({}/s)", units(state, per_second)) } else { String::new() };
     format!("{:<16} {what}{rate}", phase_name(state))
 }
 

@@ -12,7 +12,7 @@ use clap::Args;
 use gatherlight_render::export;
 
 const EXAMPLES: &str = "\
-The scene and the options under Image and Photon mapping determine the image, bit for bit: whatever the number of
+The scene and the options under Image and Photon mapping determine the image, bit for bit: whatever the number of \
 threads, here or on a cluster.
 
 Examples:

@@ -11,7 +11,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
-Workers join with `gatherlight-worker --coordinator URL`, clients speak to it with submit, jobs, watch, fetch, cancel
+Workers join with `gatherlight-worker --coordinator URL`, clients speak to it with submit, jobs, watch, fetch, cancel \
 and workers. There is no authentication: listen only where every machine that can connect may submit work.
 
 Examples:

@@ -203,4 +203,15 @@ mod tests {
         }
         assert!(count32("5G").unwrap_err().contains("more than"));
     }
+
+    #[test]
+    fn the_flags_defaults_are_the_library_s() {
+        #[derive(clap::Parser)]
+        struct Flags {
+            #[command(flatten)]
+            settings: SettingsArgs,
+        }
+        let flags = <Flags as clap::Parser>::parse_from(["gatherlight"]);
+        assert_eq!(flags.settings.settings(1.0).unwrap(), RenderSettings::default());
+    }
 }
