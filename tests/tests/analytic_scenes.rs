@@ -2,7 +2,7 @@
 
 use gatherlight_render::math::Rgb;
 use gatherlight_render::scene::description::{LightKind, MaterialDescription, SceneDescription};
-use gatherlight_render::settings::{Method, RenderSettings};
+use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use gatherlight_tests::fixtures::{SceneMaker, cuboid, enclosure, quad, sphere};
 use gatherlight_tests::single::{color, mean, render_description};
 use glam::{DVec3, Vec3};
@@ -53,23 +53,32 @@ fn enclosure_by_photon_mapping() {
     }
 }
 
-/// A lamp over a Lambertian plane seen by one pixel: radiance = ρ/π · E.
-fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> f64 {
+/// A lamp over a Lambertian plane seen by one pixel, radiance = ρ/π · E; with its standard error.
+fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> (f64, f64) {
     let mut s = SceneMaker::new();
     let floor = s.material(MaterialDescription::lambert("floor", Rgb::splat(0.5)));
     s.mesh(quad(Vec3::new(-2.0, 0.0, 2.0), Vec3::new(4.0, 0.0, 0.0), Vec3::new(0.0, 0.0, -4.0), floor));
     light(&mut s);
     // A narrow view of the origin from the side, under the lamp.
     s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
-    let mut settings = settings(method, 1, 65_536);
-    settings.photons = 200_000;
-    f64::from(color(&render_description(s.scene, &settings), 0, 0).g)
+    let settings =
+        RenderSettings { photons: 20_000, layers: vec![Layer::Variance], ..settings(method, 1, 65_536) };
+    let film = render_description(s.scene, &settings);
+    let pixel = film.pixel(0, 0);
+    (f64::from(pixel[1]), (f64::from(pixel[5]) / 65_536.0).sqrt())
 }
 
+/// Four standard errors, and 3e-4 for the pixel's width and a sphere's tessellation.
 fn check_light(name: &str, irradiance: f64, light: impl Fn(&mut SceneMaker)) {
     for method in Method::ALL {
-        let got = radiance_under(&light, method);
-        assert_close(&format!("{name}, {}", method.name()), got, 0.5 / PI * irradiance, 0.002);
+        let (got, error) = radiance_under(&light, method);
+        let expected = 0.5 / PI * irradiance;
+        assert!(
+            (got - expected).abs() < 4.0 * error + 3e-4 * expected,
+            "{name}, {}: {got} ± {error} instead of {expected}",
+            method.name()
+        );
+        assert!(error < 0.01 * expected, "{name}: too noisy to see anything ({error} of {expected})");
     }
 }
 

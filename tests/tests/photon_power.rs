@@ -37,14 +37,15 @@ fn room(albedo: f32, light: impl Fn(&mut SceneMaker)) -> Scene {
 }
 
 fn check(name: &str, power: f64, light: impl Fn(&mut SceneMaker)) {
-    for albedo in [0.0f32, 0.5, 0.9] {
+    // A black wall has no lobe that reads photons, so it stores none.
+    for albedo in [0.01f32, 0.5, 0.9] {
         let scene = room(albedo, &light);
         let e = Emission { scene: &scene, kind: MapKind::Global, storage: Storage::All, seed: 1, round: 0, aim: None };
         let (got, error) = stored_power(&scene, &e, 40_000);
         let expected = power / (1.0 - f64::from(albedo));
-        // 2e-5: rounding in f32 sums and the tessellation-free closed form.
+        // 3e-4: what a small black lamp absorbs.
         assert!(
-            (got - expected).abs() < 4.0 * error + 2e-5 * expected,
+            (got - expected).abs() < 4.0 * error + 3e-4 * expected,
             "{name}, albedo {albedo}: {got} ± {error} instead of {expected}"
         );
         assert!(error < 0.02 * expected, "{name}: too noisy to see anything");
@@ -57,9 +58,10 @@ fn stored_power_is_emitted_power_over_absorptance() {
     check("point", 4.0 * PI * 2.0, |s| {
         s.light(LightKind::Point, Rgb::splat(2.0), DVec3::new(0.3, 0.2, 0.1), DVec3::NEG_Y);
     });
-    check("square", PI * 5.0 * 0.64, |s| {
-        let lamp = s.material(MaterialDescription::emitter("lamp", Rgb::splat(5.0)));
-        s.mesh(quad(Vec3::new(-0.4, 2.9, -0.4), Vec3::X * 0.8, Vec3::Z * 0.8, lamp));
+    // The lamp itself is black: so small that it absorbs below 3e-4 of the light.
+    check("square", PI * 1280.0 * 0.0025, |s| {
+        let lamp = s.material(MaterialDescription::emitter("lamp", Rgb::splat(1280.0)));
+        s.mesh(quad(Vec3::new(-0.025, 2.9, -0.025), Vec3::X * 0.05, Vec3::Z * 0.05, lamp));
     });
     // A spot whose cones coincide but for a hair: the cone's solid angle times the intensity.
     check("spot", 2.0 * PI * (1.0 - 0.4f64.cos()) * 3.0, |s| {
@@ -113,7 +115,8 @@ fn aimed_emission_is_unbiased() {
         let (blind, e2) = stored_power(&scene, &emission(None, 4), 400_000);
         let sigma = (e1 * e1 + e2 * e2).sqrt();
         assert!((aimed - blind).abs() < 4.0 * sigma, "{name}: {aimed} ± {e1}, blind {blind} ± {e2}");
-        assert!(e1 < e2, "{name}: aiming does not help ({e1} against {e2})");
+        // Four times the paths halve the error of blind emission.
+        assert!(e1 < 2.0 * e2, "{name}: aiming does not help ({e1} against {e2})");
     }
 }
 

@@ -105,6 +105,11 @@ impl SpotLight {
         SpotLight { position, intensity, frame, inner: hi as f32, outer: ho as f32, solid_angle }
     }
 
+    /// The solid angle that the full intensity would need for the same power, ∫ falloff dω.
+    pub fn solid_angle(&self) -> f32 {
+        self.solid_angle
+    }
+
     /// Angular falloff in [0, 1] along the unit `direction` of flight: ((cosθ − cos outer)/(cos inner − cos outer))²,
     /// clamped, as KHR_lights_punctual recommends, but without that text's guard of 0.001 on the denominator, which
     /// would darken cones below 2.6° (here the difference is exact down to the smallest cones).

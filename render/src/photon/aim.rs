@@ -5,6 +5,7 @@
 //! every light and unbiased, because every direction that meets such geometry first has a positive pdf.
 
 use crate::light::{EmissionSample, Light};
+use crate::math::ops::PI;
 use crate::math::sobol::Sampler;
 use crate::math::{AliasTable, Frame, Rgb, warp};
 use crate::scene::Scene;
@@ -89,28 +90,47 @@ impl AimedEmission {
                 pdf_direction: 1.0,
             }
         } else {
-            let point = light.sample_point(&scene.light_context(), u_position)?;
-            let (direction, pdf) = self.sample_cone(point.position, u_target, u_direction)?;
-            EmissionSample {
-                origin: point.spawn(direction),
-                normal: point.normal,
-                direction,
-                power: light.emitted(&point, direction) * (1.0 / (point.pdf * pdf)),
-                pdf_position: point.pdf,
-                pdf_direction: pdf,
-            }
+            self.sample_mixture(scene, light, [u_position, u_direction], u_target)?
         };
         s.power *= 1.0 / pmf;
         (s.power != Rgb::BLACK).then_some(s)
     }
 
-    /// A direction from `from` into the union of the targets' cones, and its pdf per solid angle
-    /// Σ wᵢ[ω ∈ Cᵢ] / Σ wⱼΩⱼ: one cone is chosen by weight × solid angle, uniformly inside.
-    fn sample_cone(&self, from: Vec3, u_target: f32, u: [f32; 2]) -> Option<(Vec3, f32)> {
-        let mut total = 0.0;
-        for t in &self.targets {
-            total += t.weight * one_minus_cos(t, from);
-        }
+    /// Emission from a point on `light`, by a mixture of the targets' cones and the light's own distribution: the wider
+    /// the cones are compared to the light's own, the more it is the latter, which follows its cosine or falloff.
+    fn sample_mixture(
+        &self,
+        scene: &Scene,
+        light: &Light,
+        [u_position, u_direction]: [[f32; 2]; 2],
+        u: f32,
+    ) -> Option<EmissionSample> {
+        let context = scene.light_context();
+        let point = light.sample_point(&context, u_position)?;
+        let total: f32 = self.targets.iter().map(|t| t.weight * one_minus_cos(t, point.position)).sum();
+        let widest = self.targets.iter().map(|t| t.weight).fold(0.0, f32::max);
+        let cones = 2.0 * PI * total / widest;
+        let own = cones / (cones + solid_angle_of(light));
+        let direction = if u < own {
+            light.sample_le(&context, u_position, u_direction)?.direction
+        } else {
+            self.sample_cone(point.position, total, (u - own) / (1.0 - own), u_direction)?
+        };
+        let aimed = self.cone_density(point.position, direction) / (2.0 * PI * total);
+        let pdf = own * light.pdf_direction(&point, direction) + (1.0 - own) * aimed;
+        (pdf > 0.0).then(|| EmissionSample {
+            origin: point.spawn(direction),
+            normal: point.normal,
+            direction,
+            power: light.emitted(&point, direction) * (1.0 / (point.pdf * pdf)),
+            pdf_position: point.pdf,
+            pdf_direction: pdf,
+        })
+    }
+
+    /// A direction from `from` into the union of the targets' cones: one cone by weight × solid angle, of which `total`
+    /// is the sum over 2π, uniformly inside. Its pdf is [`Self::cone_density`] / (2π `total`).
+    fn sample_cone(&self, from: Vec3, total: f32, u_target: f32, u: [f32; 2]) -> Option<Vec3> {
         let mut remaining = u_target * total;
         let mut chosen = self.targets.last()?;
         for t in &self.targets {
@@ -120,16 +140,13 @@ impl AimedEmission {
                 break;
             }
         }
-        let cap = one_minus_cos(chosen, from);
         let axis = (chosen.center - from).try_normalize().unwrap_or(Vec3::Z);
-        let direction = Frame::from_normal(axis).to_scene(warp::uniform_cone(u, cap));
-        let density: f32 = self
-            .targets
-            .iter()
-            .filter(|t| std::ptr::eq(*t, chosen) || in_cone(t, from, direction))
-            .map(|t| t.weight)
-            .sum();
-        Some((direction, density / (2.0 * crate::math::ops::PI * total)))
+        Some(Frame::from_normal(axis).to_scene(warp::uniform_cone(u, one_minus_cos(chosen, from))))
+    }
+
+    /// Σ of the weights of the cones that hold `direction`.
+    fn cone_density(&self, from: Vec3, direction: Vec3) -> f32 {
+        self.targets.iter().filter(|t| in_cone(t, from, direction)).map(|t| t.weight).sum()
     }
 
     /// A start for parallel light along `direction`: a point on the disc of one target, moved out of the scene, and its
@@ -161,7 +178,7 @@ impl AimedEmission {
             .sum();
         // Start outside the scene's bounding sphere, on the same line.
         let back = on_disc.dot(direction) + scene_radius * 2.0;
-        (on_disc - direction * back, density / (crate::math::ops::PI * total))
+        (on_disc - direction * back, density / (PI * total))
     }
 }
 
@@ -187,15 +204,26 @@ fn center_of(light: &Light) -> Option<Vec3> {
     }
 }
 
+/// The solid angle a light's own emission fills, roughly.
+fn solid_angle_of(light: &Light) -> f32 {
+    match light {
+        Light::Area(_) => 2.0 * PI,
+        Light::Spot(l) => l.solid_angle(),
+        _ => 4.0 * PI,
+    }
+}
+
+/// Whether `direction` lies in the cone of [`one_minus_cos`]. Directions on the rim may count to either side by rounding:
+/// with the cone a hair wider than the sphere, none that meets the sphere is lost.
 fn in_cone(t: &Target, from: Vec3, direction: Vec3) -> bool {
     let to = t.center - from;
     let d2 = to.length_squared();
     if d2 <= t.radius * t.radius {
         return true;
     }
-    // |direction × to|² ≤ r² is the same cone without cancellation.
+    // sin²∠ ≤ r²/d² is the same cone without cancellation, widened as above.
     let cross = direction.cross(to).length_squared();
-    direction.dot(to) > 0.0 && cross <= t.radius * t.radius
+    direction.dot(to) > 0.0 && cross <= t.radius * t.radius * (1.0 + 4e-5) + 4e-12 * d2
 }
 
 /// Estimated share of a light's emission that meets a target, from its centre; directional lights (no centre) by the
