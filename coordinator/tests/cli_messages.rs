@@ -100,7 +100,7 @@ fn help_has_examples_and_every_command_has_help() {
         assert_eq!(help.code, 0);
         assert!(help.out.contains(&format!("Examples:\n  gatherlight {name}")), "{}", help.out);
     }
-    run(dir.path(), "").says(2, &["Usage: gatherlight <COMMAND>"]);
+    run(dir.path(), "").says(2, &["Usage: gatherlight", "<COMMAND>"]);
     run(dir.path(), "rendr").says(2, &["rendr", "render"]);
 }
 
@@ -124,4 +124,6 @@ fn job_ids_and_addresses_are_checked() {
     run(dir.path(), "watch 12").says(2, &["12", "16 hexadecimal digits"]);
     run(dir.path(), "serve --listen nowhere").says(2, &["--listen", "nowhere"]);
     run(dir.path(), "jobs --attempts 0").says(2, &["--attempts"]);
+    run(dir.path(), "serve --max-store 1.5G").says(2, &["--max-store", "whole number"]);
+    run(dir.path(), "jobs --log a=b=c").says(2, &["--log", "a=b=c"]);
 }

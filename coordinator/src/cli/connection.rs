@@ -10,7 +10,13 @@ use std::future::Future;
 #[command(next_help_heading = "Connection")]
 pub(super) struct ConnectionArgs {
     /// Address of the coordinator
-    #[arg(long, value_name = "URL", env = "GATHERLIGHT_COORDINATOR", default_value = "http://localhost:7420")]
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "GATHERLIGHT_COORDINATOR",
+        hide_env_values = true,
+        default_value = "http://localhost:7420"
+    )]
     pub(super) coordinator: String,
     /// Attempts to reach it, with growing pauses
     #[arg(long, value_name = "N", default_value_t = DEFAULT_ATTEMPTS, value_parser = clap::value_parser!(u32).range(1..=100))]

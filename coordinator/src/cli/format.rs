@@ -12,6 +12,23 @@ pub(crate) fn bytes(value: u64) -> String {
     scaled(value as f64, 1024.0, &[" B", " KiB", " MiB", " GiB", " TiB", " PiB"])
 }
 
+/// `64G` → bytes; K, M, G and T are powers of 1024.
+pub(crate) fn parse_bytes(text: &str) -> Result<u64, String> {
+    let unit = text.trim_start_matches(|c: char| c.is_ascii_digit());
+    let shift = match unit.to_ascii_uppercase().as_str() {
+        "" | "B" => 0,
+        "K" | "KB" | "KIB" => 10,
+        "M" | "MB" | "MIB" => 20,
+        "G" | "GB" | "GIB" => 30,
+        "T" | "TB" | "TIB" => 40,
+        _ => return Err(format!("{text:?} is no size; write a whole number, with K, M, G or T behind it")),
+    };
+    let number: u64 = text[..text.len() - unit.len()]
+        .parse()
+        .map_err(|_| format!("{text:?} is no size; write a whole number, with K, M, G or T behind it"))?;
+    number.checked_mul(1 << shift).ok_or_else(|| format!("{text} is more than 16 EiB"))
+}
+
 fn scaled(mut value: f64, factor: f64, units: &[&str]) -> String {
     if !value.is_finite() {
         return "?".into();
@@ -84,6 +101,14 @@ mod tests {
         assert_eq!(count(f64::NAN), "?");
         assert_eq!([0, 1023, 1536, 5 << 30].map(bytes), ["0 B", "1.00 KiB", "1.50 KiB", "5.00 GiB"]);
         assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
+    }
+
+    #[test]
+    fn sizes_take_suffixes() {
+        assert_eq!(["0", "12", "3k", "64G", "1TiB"].map(|t| parse_bytes(t).unwrap()), [0, 12, 3072, 64 << 30, 1 << 40]);
+        for bad in ["", "G", "1.5G", "-1", "1X", "99999999999T"] {
+            assert!(parse_bytes(bad).is_err(), "{bad}");
+        }
     }
 
     #[test]

@@ -38,8 +38,7 @@ Examples:
   gatherlight serve --listen 0.0.0.0:7420                a coordinator for a cluster
   gatherlight submit scene.glb -o image.exr --coordinator http://host:7420
 
-Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.
-RUST_LOG (error, warn, info, debug, trace) sets what is logged on stderr.";
+Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
 
 /// Renders glTF scenes by photon mapping, on this machine or on a cluster
 #[derive(Parser, Debug)]
@@ -47,6 +46,16 @@ RUST_LOG (error, warn, info, debug, trace) sets what is logged on stderr.";
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight=debug [default: warn; serve: info]
+    #[arg(
+        long,
+        global = true,
+        value_name = "FILTER",
+        env = "GATHERLIGHT_LOG",
+        hide_env_values = true,
+        help_heading = "Messages"
+    )]
+    log: Option<String>,
 }
 
 #[derive(Subcommand, Debug)]
@@ -68,7 +77,14 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let filter = cli.log.as_deref().unwrap_or(level);
+    let filter = match EnvFilter::try_new(filter) {
+        Ok(filter) => filter,
+        Err(error) => {
+            eprintln!("error: --log {filter:?}: {error}");
+            return ExitCode::from(2);
+        }
+    };
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let result = match cli.command {
         Command::Render(args) => render::run(&args),

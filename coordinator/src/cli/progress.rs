@@ -148,6 +148,9 @@ fn units(state: &JobState, n: f64) -> String {
 }
 
 fn running_text(state: &JobState, f: Figures, workers: u32) -> String {
+    if *state == JobState::Waiting {
+        return "no worker has begun".into();
+    }
     let mut text = if f.rate > 0.0 { format!("{}/s", units(state, f.rate)) } else { String::new() };
     if f.rate > 0.0 && f.total > f.done {
         let left = (f.total - f.done) as f64 / f.rate;

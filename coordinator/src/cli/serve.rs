@@ -2,7 +2,7 @@
 
 use super::connection::runtime;
 use super::error::CliResult;
-use super::settings::count64;
+use super::format::parse_bytes;
 use super::{print_json, print_result};
 use crate::server::{ServeConfig, Server};
 use clap::Args;
@@ -23,16 +23,28 @@ Examples:
 #[command(after_help = EXAMPLES)]
 pub(super) struct ServeArgs {
     /// Address to listen on; port 0 takes a free one, which is printed
-    #[arg(long, value_name = "ADDR", env = "GATHERLIGHT_LISTEN", default_value = "127.0.0.1:7420")]
+    #[arg(
+        long,
+        value_name = "ADDR",
+        env = "GATHERLIGHT_LISTEN",
+        hide_env_values = true,
+        default_value = "127.0.0.1:7420"
+    )]
     listen: SocketAddr,
     /// Directory of scenes and finished images; made if missing
-    #[arg(long, value_name = "DIR", env = "GATHERLIGHT_STORE", default_value = "gatherlight-store")]
+    #[arg(
+        long,
+        value_name = "DIR",
+        env = "GATHERLIGHT_STORE",
+        hide_env_values = true,
+        default_value = "gatherlight-store"
+    )]
     store: PathBuf,
     /// Threads for merging photons and encoding images; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
     /// Most bytes kept in the store, e.g. 64G
-    #[arg(long, value_name = "BYTES", value_parser = count64, default_value = "64G")]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, default_value = "64G")]
     max_store: u64,
     /// Most jobs that have not ended
     #[arg(long, value_name = "N", default_value_t = 64)]

@@ -43,7 +43,7 @@ impl Run {
 pub fn command(dir: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gatherlight"));
     command.current_dir(dir).stdin(Stdio::null());
-    for name in ["RUST_LOG", "GATHERLIGHT_COORDINATOR", "GATHERLIGHT_LISTEN", "GATHERLIGHT_STORE"] {
+    for name in ["GATHERLIGHT_LOG", "GATHERLIGHT_COORDINATOR", "GATHERLIGHT_LISTEN", "GATHERLIGHT_STORE"] {
         command.env_remove(name);
     }
     command
