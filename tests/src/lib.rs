@@ -1,5 +1,6 @@
 //! Helpers that tests share.
 
+pub mod chi_square;
 pub mod fixtures;
 pub mod single;
 

@@ -242,7 +242,7 @@ impl Bsdf {
         if !asked.intersects(Lobes::NON_DIRAC) {
             return (f, pdf);
         }
-        let choice = self.choice(layers, wo, asked);
+        let choice = self.choice(layers, wo, asked, mode);
         let n = if wo.dot(self.ns) < 0.0 { -self.ns } else { self.ns };
         if choice[0] > 0.0 && !transmitted && self.lit(wo, wi, mode) {
             let coat = layers.coat.out_weight(self.cos(wo)) * layers.coat.in_weight(self.cos(wi));
@@ -269,11 +269,13 @@ impl Bsdf {
         (f, pdf)
     }
 
-    /// Choice in proportion to the estimated albedo of each part in `asked`.
-    fn choice(&self, layers: &Layers, wo: Vec3, asked: Lobes) -> Choice {
+    /// Choice in proportion to the estimated albedo of each part in `asked`; a part that gives nothing is not chosen.
+    fn choice(&self, layers: &Layers, wo: Vec3, asked: Lobes, mode: TransportMode) -> Choice {
         let cos_o = self.cos(wo).min(1.0);
         let mut w: Choice = [0.0; 3];
-        if asked.contains(Lobes::DIFFUSE) {
+        // In importance mode the light comes along wo: below the shading normal's horizon the base stays dark.
+        let dark = mode == TransportMode::Importance && !self.lit(wo, wo, mode);
+        if asked.contains(Lobes::DIFFUSE) && !dark {
             w[0] = self.diffuse.mean() * layers.coat.out_weight(cos_o);
         }
         let has = |alpha: f32| asked.contains(if alpha == 0.0 { Lobes::SPECULAR } else { Lobes::GLOSSY });
@@ -300,7 +302,7 @@ impl Bsdf {
         asked: Lobes,
         mode: TransportMode,
     ) -> Option<BsdfSample> {
-        let choice = self.choice(layers, wo, asked);
+        let choice = self.choice(layers, wo, asked, mode);
         let n = if wo.dot(self.ns) < 0.0 { -self.ns } else { self.ns };
         let front = self.front(wo);
         if u[2] < choice[0] {
@@ -310,6 +312,9 @@ impl Bsdf {
         if u[2] < choice[0] + choice[1] || layers.glass.is_none() || choice[2] == 0.0 {
             let r = layers.reflection.as_ref().filter(|_| choice[1] > 0.0)?;
             let wi = r.sample(wo, n, [u[0], u[1]]);
+            if wi.dot(n) <= 0.0 {
+                return None;
+            }
             if r.alpha > 0.0 {
                 return self.finish(layers, wo, wi, asked, Lobes::GLOSSY, false, mode);
             }
@@ -319,6 +324,9 @@ impl Bsdf {
         let g = layers.glass.as_ref()?;
         let rest = ((u[2] - choice[0] - choice[1]) / choice[2]).clamp(0.0, 1.0 - f32::EPSILON);
         let s = g.sample(wo, g.interface(wo, self.ns, front), [u[0], u[1], rest], mode)?;
+        if (s.wi.dot(n) < 0.0) != s.transmitted {
+            return None;
+        }
         if g.alpha > 0.0 {
             return self.finish(layers, wo, s.wi, asked, Lobes::GLOSSY, s.transmitted, mode);
         }
