@@ -11,6 +11,8 @@ pub mod merge;
 pub mod pack;
 pub mod query;
 pub mod range;
+#[cfg(test)]
+mod testing;
 pub mod trace;
 
 pub use batch::{MapKind, PhotonBatch};

@@ -92,7 +92,8 @@ impl NeighbourBuffer {
     pub fn new() -> Self {
         Self::default()
     }
-    /// The photons the last search found, each once, in an order that is a function of structure, point and k alone.
+    /// The photons the last search found, each once, in an order that is a function of the structure and
+    /// the search's arguments alone.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbour> + '_ {
         self.keys.iter().map(|&k| from_key(k))
     }
@@ -172,13 +173,13 @@ fn sift_down(keys: &mut [u64], mut i: usize) {
     }
 }
 
-/// The k nearest by buffering up to 2k candidates and cutting back to k by quickselect: O(1) a candidate where the heap
+/// The k nearest by buffering up to 3k/2 candidates and cutting back to k by quickselect: O(1) a candidate where the heap
 /// needs O(log k). Cutting keeps the order of arrival.
 pub(super) struct Buffered<'a> {
     keys: &'a mut Vec<u64>,
     scratch: &'a mut Vec<u64>,
     k: usize,
-    /// Length at which to cut: k at first (which only sets the bound), then 2k.
+    /// Length at which to cut: k at first (which only sets the bound), then 3k/2.
     full: usize,
     bound: u64,
 }
@@ -211,7 +212,7 @@ impl Buffered<'_> {
             // Later candidates must beat the k-th.
             self.bound = self.keys.iter().copied().max().unwrap_or(self.bound);
         }
-        self.full = 2 * self.k;
+        self.full = self.k + self.k / 2;
     }
     /// Leaves exactly the k nearest (or all, when fewer) in the buffer.
     pub(super) fn finish(mut self) {
