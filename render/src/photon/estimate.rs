@@ -35,7 +35,7 @@ pub const MIN_GATHER_RADIUS: f32 = 1e-6;
 pub struct Gather {
     /// Neighbours, ≥ 2 (less counts as 2).
     pub k: u32,
-    /// Square of the largest gather radius, scene space.
+    /// Square of the largest gather radius, scene space; less than [`MIN_GATHER_RADIUS`] counts as that.
     pub max_radius_squared: f32,
     /// Weight of photons on the disc.
     pub kernel: Kernel,
@@ -79,7 +79,7 @@ impl SameSurface<'_> {
 
 /// Irradiance at `position` on the side of the unit normal `normal`, from the `gather.k` nearest photons of the surface
 /// within the largest radius. With fewer photons there, the estimate over the disc of the largest radius: together the two
-/// have exactly the right mean for uniform light (see [`super::kernel`]).
+/// have exactly the right mean for uniform light (see [`super::kernel`]). In a map with a hash grid always the latter.
 pub fn irradiance(map: &PhotonMap, position: Vec3, normal: Vec3, gather: &Gather) -> Estimate {
     irradiance_into(map, position, normal, gather, &mut NeighbourBuffer::new())
 }
@@ -141,6 +141,9 @@ impl Sum {
         self.count += 1;
     }
     fn estimate(&self, normalisation: f32, map: &PhotonMap, radius_squared: f32) -> Estimate {
+        if self.count == 0 {
+            return Estimate { irradiance: Rgb::BLACK, count: 0, radius: radius_squared.sqrt() };
+        }
         let scale = f64::from(normalisation) / map.emitted_count().max(1) as f64;
         let [r, g, b] = self.rgb.map(|c| (c * scale) as f32);
         Estimate { irradiance: Rgb::new(r, g, b), count: self.count, radius: radius_squared.sqrt() }
@@ -156,15 +159,20 @@ fn estimate(
     buffer: &mut NeighbourBuffer,
     mut weight: impl FnMut(u32) -> f32,
 ) -> Estimate {
+    let min_radius_squared = MIN_GATHER_RADIUS * MIN_GATHER_RADIUS;
+    let max_radius_squared = gather.max_radius_squared.max(min_radius_squared);
+    if map.has_hash_grid() {
+        return fixed(map, position, normal, max_radius_squared, gather.kernel, weight);
+    }
     let surface = SameSurface { map, position, normal };
     let k = gather.k.max(2) as usize;
-    map.tree().k_nearest(position.to_array(), k, gather.max_radius_squared, |i| surface.accepts(i), buffer);
+    map.tree().k_nearest(position.to_array(), k, max_radius_squared, |i| surface.accepts(i), buffer);
     let (radius_squared, last) = match buffer.farthest() {
         Some(last) if buffer.len() == k => (last.distance_squared, Some(last.index)),
-        _ => (gather.max_radius_squared, None),
+        _ => (max_radius_squared, None),
     };
-    if radius_squared < MIN_GATHER_RADIUS * MIN_GATHER_RADIUS && last.is_some() {
-        return fixed(map, position, normal, MIN_GATHER_RADIUS * MIN_GATHER_RADIUS, gather.kernel, weight);
+    if radius_squared < min_radius_squared {
+        return fixed(map, position, normal, min_radius_squared, gather.kernel, weight);
     }
     let mut sum = Sum::default();
     let inverse = 1.0 / radius_squared;
@@ -188,7 +196,7 @@ fn fixed(
     let surface = SameSurface { map, position, normal };
     let mut sum = Sum::default();
     let inverse = 1.0 / radius_squared;
-    map.tree().for_each_within(position.to_array(), radius_squared, |n| {
+    map.for_each_within(position, radius_squared, |n| {
         if surface.accepts(n.index) {
             sum.add(map.power(n.index), kernel.shape(n.distance_squared * inverse) * weight(n.index));
         }

@@ -1,9 +1,11 @@
 //! The photon map: merged photons in tree order, as it is built once, broadcast, and searched by every worker.
 
 use super::estimate::{Gather, choose_max_radius, irradiance_into};
+use super::grid::HashGrid;
 use super::kdtree::{KdTree, MAX_TREE_PHOTONS};
+use super::kernel::Kernel;
 use super::pack::{decode_direction, decode_normal, decode_rgbe, encode_rgbe};
-use super::query::NeighbourBuffer;
+use super::query::{Neighbour, NeighbourBuffer, PhotonSearch};
 use super::{EmissionRange, MapKind, PhotonBatch};
 use crate::math::Rgb;
 use glam::Vec3;
@@ -31,6 +33,8 @@ pub struct PhotonMap {
     directions: Option<Vec<u32>>,
     /// Irradiance at each photon as RGBE; 0 where nobody has looked yet, [`BLACK_IRRADIANCE`] for none.
     irradiance: OnceLock<Vec<AtomicU32>>,
+    /// For fixed-radius estimates, with the index in tree order of each of its photons.
+    grid: OnceLock<(HashGrid, Vec<u32>)>,
     /// [`choose_max_radius`] for the k it was first asked for.
     default_max_radius: OnceLock<(u32, f32)>,
 }
@@ -105,6 +109,7 @@ impl PhotonMap {
             normals: permute(normals, &order),
             directions: directions.map(|d| permute(d, &order)),
             irradiance: OnceLock::new(),
+            grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
         }
     }
@@ -148,6 +153,7 @@ impl PhotonMap {
             normals,
             directions,
             irradiance: OnceLock::new(),
+            grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
         })
     }
@@ -230,9 +236,10 @@ impl PhotonMap {
     /// Memory the map holds, its tree and caches included.
     pub fn memory_bytes(&self) -> u64 {
         let cache = self.irradiance.get().map_or(0, |c| 4 * c.len() as u64);
-        Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache
+        let grid = self.grid.get().map_or(0, |(grid, order)| grid.memory_bytes() + 4 * order.len() as u64);
+        Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache + grid
     }
-    /// Memory of a map of `count` photons, without the irradiance cache (4 bytes a photon).
+    /// Memory of a map of `count` photons, without the irradiance cache (4 bytes a photon) and the hash grid (18).
     pub fn memory_bytes_for(count: usize, directions: bool) -> u64 {
         let payload = size_of::<u32>() + size_of::<u16>() + if directions { size_of::<u32>() } else { 0 };
         KdTree::memory_bytes_for(count) + (count * payload) as u64
@@ -254,6 +261,30 @@ impl PhotonMap {
         *hasher.finalize().as_bytes()
     }
 
+    /// Turns estimates on this map into fixed-radius ones, searched in a spatial hash grid made for `radius`.
+    ///
+    /// [`super::estimate::irradiance`] then counts all photons within the largest radius, whatever k.
+    pub fn enable_hash_grid(&self, radius: f32) {
+        self.grid.get_or_init(|| {
+            let positions: Vec<[f32; 3]> = (0..self.stored_count()).map(|i| self.tree.position(i as u32)).collect();
+            HashGrid::build(&positions, radius)
+        });
+    }
+    /// Whether estimates are fixed-radius ones.
+    pub fn has_hash_grid(&self) -> bool {
+        self.grid.get().is_some()
+    }
+    /// Calls `visit` for each photon with squared distance < `radius_squared` from `point`, by the grid if there is one.
+    #[inline(always)]
+    pub(super) fn for_each_within(&self, point: Vec3, radius_squared: f32, mut visit: impl FnMut(Neighbour)) {
+        match self.grid.get() {
+            None => self.tree.for_each_within(point.to_array(), radius_squared, visit),
+            Some((grid, order)) => grid.for_each_within(point.to_array(), radius_squared, |n| {
+                visit(Neighbour { index: order[n.index as usize], ..n });
+            }),
+        }
+    }
+
     /// Allocates the cache of [`Self::irradiance_at_photon`], 4 bytes a photon.
     pub fn enable_irradiance_cache(&self) {
         self.irradiance.get_or_init(|| (0..self.stored_count()).map(|_| AtomicU32::new(0)).collect());
@@ -261,6 +292,11 @@ impl PhotonMap {
 
     /// Irradiance at photon `index` on its side of the surface (Christensen 1999, "precomputed irradiance"), computed when
     /// first asked for and remembered if the cache is enabled.
+    ///
+    /// Asked for at the photon nearest to a point, this is an unbiased estimate for the point: no photon lies within the
+    /// distance ρ between the two, and that hole, whose area is exponential like the gap to one more photon, makes up for the
+    /// photon that is known to be there. So the photon itself counts among the k; and because it sits at the centre, where
+    /// other kernels would overrate it, the kernel is the constant one whatever `gather` says.
     ///
     /// The value is rounded to RGBE either way, so that it does not depend on the cache. All calls on one map must pass
     /// equal `gather` when the cache is enabled: it holds one value a photon.
@@ -272,7 +308,8 @@ impl PhotonMap {
                 return decode_rgbe(code);
             }
         }
-        let estimate = irradiance_into(self, self.position(index), self.normal(index), gather, buffer);
+        let gather = Gather { kernel: Kernel::Constant, ..*gather };
+        let estimate = irradiance_into(self, self.position(index), self.normal(index), &gather, buffer);
         let code = match encode_rgbe(estimate.irradiance) {
             0 => BLACK_IRRADIANCE,
             code => code,

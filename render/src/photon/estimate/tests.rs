@@ -32,12 +32,11 @@ fn poisson_plane(seed: u64, mean: f32) -> Vec<(Vec3, Vec3)> {
 }
 
 /// Mean of irradiance / truth over Poisson planes, and its standard error; each value is cut at `limit`.
-fn mean_on_plane(gather: &Gather, seeds: u64, limit: f64) -> (f64, f64) {
-    const MEAN: f32 = 400.0;
+fn mean_on_plane(gather: &Gather, photons: f32, seeds: u64, limit: f64) -> (f64, f64) {
     let (mut sum, mut squares) = (0.0, 0.0);
     for seed in 0..seeds {
-        let map = map_of(poisson_plane(seed, MEAN), 1);
-        let e = f64::from(irradiance(&map, Vec3::ZERO, Vec3::Y, gather).irradiance.g) / (f64::from(MEAN) / 4.0);
+        let map = map_of(poisson_plane(seed, photons), 1);
+        let e = f64::from(irradiance(&map, Vec3::ZERO, Vec3::Y, gather).irradiance.g) / (f64::from(photons) / 4.0);
         sum += e.min(limit);
         squares += e.min(limit).powi(2);
     }
@@ -49,9 +48,9 @@ fn mean_on_plane(gather: &Gather, seeds: u64, limit: f64) -> (f64, f64) {
 #[test]
 fn k_nearest_estimates_of_a_uniform_plane_are_unbiased() {
     for kernel in KERNELS {
-        for k in [3, 5, 50] {
+        for (k, photons, seeds) in [(3, 50.0, 6000), (5, 60.0, 6000), (50, 400.0, 2000)] {
             let gather = Gather { k, max_radius_squared: 1.0, kernel };
-            let (mean, error) = mean_on_plane(&gather, 6000, f64::INFINITY);
+            let (mean, error) = mean_on_plane(&gather, photons, seeds, f64::INFINITY);
             assert!((mean - 1.0).abs() < 4.0 * error, "{kernel:?} k {k}: {mean} ± {error}");
             assert!(error < 0.03);
         }
@@ -63,7 +62,7 @@ fn two_nearest_photons_have_the_gamma_law_they_should() {
     // With k = 2 the estimate is λ/G, G ~ Gamma(2): mean 1, variance infinite. Cut at c its mean is c (1 − e^(−1/c)).
     let gather = Gather { k: 2, max_radius_squared: 1.0, kernel: Kernel::Constant };
     for c in [2.0f64, 20.0] {
-        let (mean, error) = mean_on_plane(&gather, 20_000, c);
+        let (mean, error) = mean_on_plane(&gather, 40.0, 20_000, c);
         let expect = c * (1.0 - (-1.0 / c).exp());
         assert!((mean - expect).abs() < 4.0 * error, "{mean} ± {error}, not {expect}");
     }
@@ -76,9 +75,51 @@ fn estimates_that_often_run_out_of_photons_stay_unbiased() {
     for kernel in KERNELS {
         for k in [30, 50, 70] {
             let gather = Gather { k, max_radius_squared: radius_squared, kernel };
-            let (mean, error) = mean_on_plane(&gather, 6000, f64::INFINITY);
+            let (mean, error) = mean_on_plane(&gather, 400.0, 2000, f64::INFINITY);
             assert!((mean - 1.0).abs() < 4.0 * error, "{kernel:?} {k}: {mean} ± {error}");
         }
+    }
+}
+
+#[test]
+fn the_estimate_at_the_nearest_photon_is_unbiased_for_the_point() {
+    // Over the photons in turn the mean would be 1/(k − 2) too bright; over those nearest to given points it is not.
+    let gather = Gather { k: 10, max_radius_squared: 1.0, kernel: Kernel::Cone };
+    let (mut sum, mut squares, n) = (0.0, 0.0, 10_000u32);
+    let mut buffer = NeighbourBuffer::new();
+    for seed in 0..u64::from(n) {
+        let map = map_of(poisson_plane(seed, 120.0), 1);
+        let nearest = nearest_compatible(&map, Vec3::ZERO, Vec3::Y, 1.0).unwrap();
+        let e = f64::from(map.irradiance_at_photon(nearest, &gather, &mut buffer).g) / 30.0;
+        sum += e;
+        squares += e * e;
+    }
+    let mean = sum / f64::from(n);
+    let error = ((squares / f64::from(n) - mean * mean) / f64::from(n)).sqrt();
+    assert!((mean - 1.0).abs() < 4.0 * error && error < 0.01, "{mean} ± {error}");
+}
+
+#[test]
+fn senseless_radii_give_finite_estimates() {
+    let map = map_of(poisson_plane(21, 100.0).into_iter().chain([(Vec3::ZERO, Vec3::Y)]), 1);
+    for max_radius_squared in [0.0, -1.0, f32::NAN, 1e-45, f32::INFINITY, f32::MAX] {
+        let e = irradiance(&map, Vec3::ZERO, Vec3::Y, &Gather { k: 500, max_radius_squared, kernel: Kernel::Cone });
+        assert!(e.irradiance.is_finite() && e.count > 0, "{max_radius_squared} {e:?}");
+    }
+}
+
+#[test]
+fn a_hash_grid_gives_the_fixed_radius_estimate_of_the_tree() {
+    let plain = map_of(poisson_plane(20, 4000.0), 5);
+    let hashed = map_of(poisson_plane(20, 4000.0), 5);
+    hashed.enable_hash_grid(0.1);
+    let gather = Gather { k: 20, max_radius_squared: 0.01, kernel: Kernel::Epanechnikov };
+    for i in 0..200 {
+        let q = plain.position(i * 7) + Vec3::new(0.001, 0.0, 0.002);
+        let tree = irradiance_within(&plain, q, Vec3::Y, 0.01, Kernel::Epanechnikov);
+        let grid = irradiance(&hashed, q, Vec3::Y, &gather);
+        assert_eq!((tree.count, tree.radius), (grid.count, grid.radius));
+        assert!((tree.irradiance.r / grid.irradiance.r - 1.0).abs() < 1e-6);
     }
 }
 

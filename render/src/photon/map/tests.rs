@@ -1,7 +1,6 @@
 use super::*;
 use crate::math::{Purpose, Stream};
 use crate::photon::estimate::{Gather, irradiance_into};
-use crate::photon::kernel::Kernel;
 use crate::photon::pack::{encode_direction, encode_normal};
 
 /// `n` photons of power ~1 on the unit square, with random directions if asked.
