@@ -6,7 +6,7 @@
 use super::bounds::Bounds;
 use super::bvh;
 use super::simd::{Kernel, Level, Simd};
-use super::traverse::{Slabs, walk};
+use super::traverse::{Slabs, Visitor, walk};
 use super::triangle::{BLOCK, Block, Crossing, ShearedRay};
 use super::wide::WideTree;
 use super::{Hit, Instance, Mesh, Ray};
@@ -46,23 +46,6 @@ struct Placed {
     to_object: DAffine3,
     instance: u32,
     mesh: u32,
-}
-
-/// The nearest hit so far.
-struct Best {
-    t: f32,
-    hit: Option<Hit>,
-}
-
-impl Best {
-    /// Whether a hit comes before: nearer, or as near and first by (instance, triangle).
-    #[inline(always)]
-    fn yields_to(&self, hit: &Hit) -> bool {
-        match self.hit {
-            Some(best) if hit.t == best.t => (hit.instance, hit.triangle) < (best.instance, best.triangle),
-            _ => hit.t < self.t,
-        }
-    }
 }
 
 impl Accelerator {
@@ -111,7 +94,7 @@ impl Accelerator {
         if !is_sound(ray) {
             return None;
         }
-        self.level.run(Closest { accelerator: self, ray, accept })
+        self.level.run(Closest { scene: self, ray, accept })
     }
 
     /// Whether anything lies at 0 < t < t_max.
@@ -121,7 +104,7 @@ impl Accelerator {
 
     /// Whether anything that `accept` lets count lies at 0 < t < t_max.
     pub fn occluded_where(&self, ray: &Ray, accept: impl Fn(&Hit) -> bool) -> bool {
-        is_sound(ray) && self.level.run(Occluded { accelerator: self, ray, accept })
+        is_sound(ray) && self.level.run(Occluded { scene: self, ray, accept })
     }
 
     /// Bytes held.
@@ -190,8 +173,7 @@ impl Group {
         self.tree.memory_bytes() + self.blocks.len() * size_of::<Block>()
     }
 
-    /// Calls `found` for triangles that the ray meets, the nearer leaves first; `found` gives the distance up to which
-    /// hits still matter, or `None` to stop. `instance` stands for that of a shared mesh.
+    /// Shows `sink` the triangles that the ray meets at 0 < t ≤ `t_max`. `instance` stands for that of a shared mesh.
     #[inline(always)]
     fn meet<S: Simd>(
         &self,
@@ -199,21 +181,69 @@ impl Group {
         (origin, direction): (Vec3, Vec3),
         t_max: f32,
         instance: Option<u32>,
-        mut found: impl FnMut(Hit) -> Option<f32>,
+        sink: &mut impl Sink,
     ) {
-        let sheared = ShearedRay::new(origin, direction);
+        let ray = ShearedRay::new(origin, direction);
         let slabs = Slabs::new(origin, direction, self.tree.bounds);
-        let mut t_max = Some(t_max);
-        walk(simd, &self.tree, &slabs, t_max.unwrap_or(0.0), |leaf| {
-            let block = &self.blocks[leaf as usize];
-            sheared.meet::<S::F4>(simd, block, t_max.unwrap_or(-1.0), |lane, Crossing { t, b1, b2 }| {
-                if t_max.is_some() {
-                    let instance = instance.unwrap_or(block.instance[lane]);
-                    t_max = found(Hit { t, b1, b2, instance, triangle: block.triangle[lane] });
-                }
-            });
-            t_max
-        });
+        let mut visitor = BlockVisitor { blocks: &self.blocks, ray, t_max, instance, sink };
+        walk(simd, &self.tree, &slabs, t_max, &mut visitor);
+    }
+}
+
+/// What is done with hits. The methods must be `#[inline(always)]`.
+trait Sink {
+    /// Takes a hit; gives the distance up to which hits still matter, or `None` to stop.
+    fn take(&mut self, hit: Hit) -> Option<f32>;
+    /// The distance up to which hits still matter, or `None` to stop.
+    fn reach(&self) -> Option<f32>;
+}
+
+/// Visits the leaves of a [`Group`].
+struct BlockVisitor<'a, K> {
+    blocks: &'a [Block],
+    ray: ShearedRay,
+    t_max: f32,
+    instance: Option<u32>,
+    sink: &'a mut K,
+}
+
+impl<K: Sink> Visitor for BlockVisitor<'_, K> {
+    #[inline(always)]
+    fn visit<S: Simd>(&mut self, simd: S, leaf: u32) -> Option<f32> {
+        let block = &self.blocks[leaf as usize];
+        let candidates = self.ray.meet::<S::F4>(simd, block, self.t_max);
+        let mut lanes = candidates.lanes;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
+            lanes &= lanes - 1;
+            if let Some(Crossing { t, b1, b2 }) = self.ray.resolve(&candidates, block, lane) {
+                let instance = self.instance.unwrap_or(block.instance[lane]);
+                self.t_max = self.sink.take(Hit { t, b1, b2, instance, triangle: block.triangle[lane] })?;
+            }
+        }
+        Some(self.t_max)
+    }
+}
+
+/// Visits the leaves of a [`Top`].
+struct InstanceVisitor<'a, K> {
+    scene: &'a Accelerator,
+    placed: &'a [Placed],
+    ray: &'a Ray,
+    sink: &'a mut K,
+}
+
+impl<K: Sink> Visitor for InstanceVisitor<'_, K> {
+    #[inline(always)]
+    fn visit<S: Simd>(&mut self, simd: S, leaf: u32) -> Option<f32> {
+        let placed = &self.placed[leaf as usize];
+        let t_max = self.sink.reach()?;
+        let (origin, direction) = placed.to_object(self.ray);
+        let sound = origin.is_finite() && direction.is_finite() && direction != Vec3::ZERO;
+        if let (Some(group), true) = (&self.scene.shared[placed.mesh as usize], sound) {
+            group.meet(simd, (origin, direction), t_max, Some(placed.instance), self.sink);
+        }
+        self.sink.reach()
     }
 }
 
@@ -240,69 +270,97 @@ impl Placed {
     }
 }
 
-/// Calls `found` as [`Group::meet`] does, for everything in the scene.
-#[inline(always)]
-fn meet_all<S: Simd>(simd: S, scene: &Accelerator, ray: &Ray, mut found: impl FnMut(Hit) -> Option<f32>) {
-    let mut t_max = Some(ray.t_max);
-    if let Some(group) = &scene.fixed {
-        group.meet(simd, (ray.origin, ray.direction), ray.t_max, None, |hit| {
-            t_max = found(hit);
-            t_max
-        });
-    }
-    let (Some(top), Some(t)) = (&scene.top, t_max) else { return };
-    let slabs = Slabs::new(ray.origin, ray.direction, top.tree.bounds);
-    walk(simd, &top.tree, &slabs, t, |leaf| {
-        let placed = &top.placed[leaf as usize];
-        let (origin, direction) = placed.to_object(ray);
-        let sound = origin.is_finite() && direction.is_finite() && direction != Vec3::ZERO;
-        if let (Some(group), Some(t), true) = (&scene.shared[placed.mesh as usize], t_max, sound) {
-            group.meet(simd, (origin, direction), t, Some(placed.instance), |hit| {
-                t_max = found(hit);
-                t_max
-            });
+impl Accelerator {
+    /// Shows `sink` the triangles that the ray meets, the nearer leaves first.
+    #[inline(always)]
+    fn meet<S: Simd>(&self, simd: S, ray: &Ray, sink: &mut impl Sink) {
+        if let Some(group) = &self.fixed {
+            group.meet(simd, (ray.origin, ray.direction), ray.t_max, None, sink);
         }
-        t_max
-    });
+        if let (Some(top), Some(t_max)) = (&self.top, sink.reach()) {
+            let slabs = Slabs::new(ray.origin, ray.direction, top.tree.bounds);
+            let mut visitor = InstanceVisitor { scene: self, placed: &top.placed, ray, sink };
+            walk(simd, &top.tree, &slabs, t_max, &mut visitor);
+        }
+    }
 }
 
+/// Finds the nearest hit.
 struct Closest<'a, A> {
-    accelerator: &'a Accelerator,
+    scene: &'a Accelerator,
     ray: &'a Ray,
     accept: A,
+}
+
+/// The nearest hit so far.
+struct Best<'a, A> {
+    t: f32,
+    hit: Option<Hit>,
+    accept: &'a A,
+}
+
+impl<A: Fn(&Hit) -> bool> Sink for Best<'_, A> {
+    #[inline(always)]
+    fn take(&mut self, hit: Hit) -> Option<f32> {
+        let first = match self.hit {
+            Some(best) if hit.t == best.t => (hit.instance, hit.triangle) < (best.instance, best.triangle),
+            _ => hit.t < self.t,
+        };
+        if first && (self.accept)(&hit) {
+            self.t = hit.t;
+            self.hit = Some(hit);
+        }
+        Some(self.t)
+    }
+    #[inline(always)]
+    fn reach(&self) -> Option<f32> {
+        Some(self.t)
+    }
 }
 
 impl<A: Fn(&Hit) -> bool> Kernel for Closest<'_, A> {
     type Output = Option<Hit>;
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Option<Hit> {
-        let mut best = Best { t: self.ray.t_max, hit: None };
-        meet_all(simd, self.accelerator, self.ray, |hit| {
-            if best.yields_to(&hit) && (self.accept)(&hit) {
-                best = Best { t: hit.t, hit: Some(hit) };
-            }
-            Some(best.t)
-        });
+        let mut best = Best { t: self.ray.t_max, hit: None, accept: &self.accept };
+        self.scene.meet(simd, self.ray, &mut best);
         best.hit
     }
 }
 
+/// Finds any hit.
 struct Occluded<'a, A> {
-    accelerator: &'a Accelerator,
+    scene: &'a Accelerator,
     ray: &'a Ray,
     accept: A,
+}
+
+/// Whether anything was hit.
+struct Any<'a, A> {
+    t_max: f32,
+    found: bool,
+    accept: &'a A,
+}
+
+impl<A: Fn(&Hit) -> bool> Sink for Any<'_, A> {
+    #[inline(always)]
+    fn take(&mut self, hit: Hit) -> Option<f32> {
+        self.found = hit.t < self.t_max && (self.accept)(&hit);
+        self.reach()
+    }
+    #[inline(always)]
+    fn reach(&self) -> Option<f32> {
+        (!self.found).then_some(self.t_max)
+    }
 }
 
 impl<A: Fn(&Hit) -> bool> Kernel for Occluded<'_, A> {
     type Output = bool;
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> bool {
-        let mut occluded = false;
-        meet_all(simd, self.accelerator, self.ray, |hit| {
-            occluded |= hit.t < self.ray.t_max && (self.accept)(&hit);
-            (!occluded).then_some(self.ray.t_max)
-        });
-        occluded
+        let mut any = Any { t_max: self.ray.t_max, found: false, accept: &self.accept };
+        self.scene.meet(simd, self.ray, &mut any);
+        any.found
     }
 }
 

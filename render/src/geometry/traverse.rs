@@ -2,7 +2,7 @@
 
 use super::bounds::Bounds;
 use super::simd::{Lanes, Simd};
-use super::wide::{Child, WideNode, WideTree};
+use super::wide::{Child, WIDTH, WideNode, WideTree};
 use glam::Vec3;
 
 /// Stack entries kept without allocating: enough for 18 levels.
@@ -13,8 +13,8 @@ const STACK: usize = 128;
 /// Wald 2013, appendix).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slabs {
-    /// Row of [`super::wide::WideNode::bounds`] that is met first, by axis.
-    near_row: [usize; 3],
+    /// By axis: 0 if the ray meets lower planes first, 1 if upper ones.
+    near_side: [usize; 3],
     /// Origin for near planes.
     near_origin: [f32; 3],
     /// Origin for far planes.
@@ -40,7 +40,7 @@ impl Slabs {
         let backward = direction.cmplt(Vec3::ZERO);
         let outward = Vec3::select(backward, -error, error);
         Slabs {
-            near_row: [0, 1, 2].map(|axis| 2 * axis + usize::from(backward.test(axis))),
+            near_side: [backward.test(0).into(), backward.test(1).into(), backward.test(2).into()],
             near_origin: (origin + outward).to_array(),
             far_origin: (origin - outward).to_array(),
             near_scale: (reciprocal * (DOWN * DOWN)).to_array(),
@@ -55,9 +55,9 @@ impl Slabs {
         let mut near = splat(0.0);
         let mut far = splat(t_max);
         for axis in 0..3 {
-            let row = self.near_row[axis];
-            let low = S::F8::load(simd, &node.bounds[row]);
-            let high = S::F8::load(simd, &node.bounds[row ^ 1]);
+            let side = self.near_side[axis] & 1;
+            let low = S::F8::load(simd, &node.bounds[axis][side]);
+            let high = S::F8::load(simd, &node.bounds[axis][side ^ 1]);
             // 0 × ∞ is not a number where the ray lies in a plane: min and max then keep their second operand.
             near = low.sub(splat(self.near_origin[axis])).mul(splat(self.near_scale[axis])).max(near);
             far = high.sub(splat(self.far_origin[axis])).mul(splat(self.far_scale[axis])).min(far);
@@ -73,64 +73,37 @@ struct Entry {
     child: Child,
 }
 
-/// Visits the leaves that a ray meets, the nearer ones first. `leaf` gives the distance up to which hits still matter,
-/// or `None` to stop.
-#[inline(always)]
-pub(super) fn walk<S: Simd>(simd: S, tree: &WideTree, slabs: &Slabs, t_max: f32, leaf: impl FnMut(u32) -> Option<f32>) {
-    let blank = Entry { near: 0.0, child: Child::ROOT };
-    if tree.stack_entries <= STACK {
-        walk_with(simd, tree, slabs, t_max, leaf, &mut [blank; STACK]);
-    } else {
-        walk_with(simd, tree, slabs, t_max, leaf, &mut vec![blank; tree.stack_entries]);
-    }
+/// What is done at leaves. The method must be `#[inline(always)]`, so that it is compiled for the same vectors.
+pub(super) trait Visitor {
+    /// Visits a leaf; gives the distance up to which hits still matter, or `None` to stop.
+    fn visit<S: Simd>(&mut self, simd: S, leaf: u32) -> Option<f32>;
 }
 
+/// Visits the leaves that a ray meets up to `t_max`, the nearer ones first.
 #[inline(always)]
-fn walk_with<S: Simd>(
-    simd: S,
-    tree: &WideTree,
-    slabs: &Slabs,
-    mut t_max: f32,
-    mut leaf: impl FnMut(u32) -> Option<f32>,
-    stack: &mut [Entry],
-) {
+pub(super) fn walk<S: Simd>(simd: S, tree: &WideTree, slabs: &Slabs, mut t_max: f32, visitor: &mut impl Visitor) {
+    let blank = Entry { near: 0.0, child: Child::ROOT };
+    let (mut small, mut large);
+    let stack: &mut [Entry] = if tree.stack_entries <= STACK {
+        small = [blank; STACK];
+        &mut small
+    } else {
+        large = vec![blank; tree.stack_entries];
+        &mut large
+    };
     let mut top = 0;
     let mut current = Child::ROOT;
     loop {
         if let Some(index) = current.leaf() {
-            match leaf(index) {
+            match visitor.visit(simd, index) {
                 Some(t) => t_max = t,
                 None => return,
             }
         } else {
             let node = &tree.nodes[current.node()];
-            let (mut hits, near) = slabs.meet(simd, node, t_max);
+            let (hits, near) = slabs.meet(simd, node, t_max);
             if hits != 0 {
-                let first = hits.trailing_zeros() as usize & 7;
-                hits &= hits - 1;
-                if hits == 0 {
-                    current = node.children[first];
-                    continue;
-                }
-                let near = near.store();
-                let base = top;
-                stack[top] = Entry { near: near[first], child: node.children[first] };
-                top += 1;
-                while hits != 0 {
-                    let next = hits.trailing_zeros() as usize & 7;
-                    hits &= hits - 1;
-                    // Insertion keeps this node's children sorted, the nearest on top.
-                    let entry = Entry { near: near[next], child: node.children[next] };
-                    let mut place = top;
-                    while place > base && stack[place - 1].near < entry.near {
-                        stack[place] = stack[place - 1];
-                        place -= 1;
-                    }
-                    stack[place] = entry;
-                    top += 1;
-                }
-                top -= 1;
-                current = stack[top].child;
+                (current, top) = descend::<S>(node, hits, near, stack, top);
                 continue;
             }
         }
@@ -143,6 +116,47 @@ fn walk_with<S: Simd>(
                 current = stack[top].child;
                 break;
             }
+        }
+    }
+}
+
+/// The nearest of the children that were hit, after pushing the others with the nearest on top; and the new stack top.
+#[inline(always)]
+fn descend<S: Simd>(
+    node: &WideNode,
+    mut hits: u32,
+    near: S::F8,
+    stack: &mut [Entry],
+    mut top: usize,
+) -> (Child, usize) {
+    let mut next = || {
+        let slot = hits.trailing_zeros() as usize & (WIDTH - 1);
+        hits &= hits - 1;
+        (slot, hits == 0)
+    };
+    let (slot, last) = next();
+    if last {
+        return (node.children[slot], top);
+    }
+    let near = near.store();
+    let base = top;
+    let mut nearest = Entry { near: near[slot], child: node.children[slot] };
+    loop {
+        let (slot, last) = next();
+        let mut entry = Entry { near: near[slot], child: node.children[slot] };
+        if entry.near < nearest.near {
+            std::mem::swap(&mut entry, &mut nearest);
+        }
+        // Insertion keeps the children of this node sorted.
+        let mut place = top;
+        while place > base && stack[place - 1].near < entry.near {
+            stack[place] = stack[place - 1];
+            place -= 1;
+        }
+        stack[place] = entry;
+        top += 1;
+        if last {
+            return (nearest.child, top);
         }
     }
 }

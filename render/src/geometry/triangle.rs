@@ -70,6 +70,25 @@ pub(super) struct Crossing {
     pub b2: f32,
 }
 
+/// Triangles of a block that a ray may meet.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Candidates {
+    /// Bit i: lane i is a candidate.
+    pub lanes: u32,
+    /// Those of which an edge function vanishes.
+    edges: u32,
+    t: [f32; BLOCK],
+    b1: [f32; BLOCK],
+    b2: [f32; BLOCK],
+    /// Bound on the error of t.
+    delta: [f32; BLOCK],
+}
+
+impl Candidates {
+    const NONE: Candidates =
+        Candidates { lanes: 0, edges: 0, t: [0.0; BLOCK], b1: [0.0; BLOCK], b2: [0.0; BLOCK], delta: [0.0; BLOCK] };
+}
+
 impl ShearedRay {
     /// The direction is finite and not zero; it need not be of unit length.
     #[inline(always)]
@@ -91,26 +110,31 @@ impl ShearedRay {
         ShearedRay { origin, direction, axes: [x, y, z], shear }
     }
 
-    /// Calls `found(lane, crossing)` for the triangles that the ray meets at t > 0. May leave out those with t > `t_max`.
+    /// Tests all triangles of a block. May leave out those that are met at t > `t_max`.
     #[inline(always)]
-    pub(super) fn meet<L: Lanes<Row = [f32; BLOCK]>>(
-        &self,
-        token: L::Token,
-        block: &Block,
-        t_max: f32,
-        mut found: impl FnMut(usize, Crossing),
-    ) {
+    pub(super) fn meet<L: Lanes<Row = [f32; BLOCK]>>(&self, token: L::Token, block: &Block, t_max: f32) -> Candidates {
         let [kx, ky, kz] = self.axes;
+        // Spares nine bounds checks.
+        if kx.max(ky).max(kz) > 2 {
+            return Candidates::NONE;
+        }
         let splat = |value| L::splat(token, value);
         let (ox, oy, oz) = (splat(self.origin[kx]), splat(self.origin[ky]), splat(self.origin[kz]));
         let (sx, sy, sz) = (splat(self.shear.x), splat(self.shear.y), splat(self.shear.z));
-        let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = [0, 1, 2].map(|vertex| {
-            let rows = &block.vertices[vertex];
-            let z = L::load(token, &rows[kz]).sub(oz);
-            let x = L::load(token, &rows[kx]).sub(ox).sub(sx.mul(z));
-            let y = L::load(token, &rows[ky]).sub(oy).sub(sy.mul(z));
-            [x, y, z]
-        });
+        let [a, b, c] = &block.vertices;
+        // Written out: a closure is not compiled for the kernel's vectors unless it is inlined.
+        let (az, bz, cz) =
+            (L::load(token, &a[kz]).sub(oz), L::load(token, &b[kz]).sub(oz), L::load(token, &c[kz]).sub(oz));
+        let (ax, bx, cx) = (
+            L::load(token, &a[kx]).sub(ox).sub(sx.mul(az)),
+            L::load(token, &b[kx]).sub(ox).sub(sx.mul(bz)),
+            L::load(token, &c[kx]).sub(ox).sub(sx.mul(cz)),
+        );
+        let (ay, by, cy) = (
+            L::load(token, &a[ky]).sub(oy).sub(sy.mul(az)),
+            L::load(token, &b[ky]).sub(oy).sub(sy.mul(bz)),
+            L::load(token, &c[ky]).sub(oy).sub(sy.mul(cz)),
+        );
         let u = cx.mul(by).sub(cy.mul(bx));
         let v = ax.mul(cy).sub(ay.mul(cx));
         let w = bx.mul(ay).sub(by.mul(ax));
@@ -118,7 +142,7 @@ impl ShearedRay {
         let inside = L::or(zero.le(u.min(v).min(w)), u.max(v).max(w).le(zero));
         let on_edge = L::or(L::or(u.eq(zero), v.eq(zero)), w.eq(zero));
         if L::bits(L::or(inside, on_edge)) == 0 {
-            return;
+            return Candidates::NONE;
         }
         let det = u.add(v).add(w);
         let (az, bz, cz) = (az.mul(sz), bz.mul(sz), cz.mul(sz));
@@ -134,25 +158,25 @@ impl ShearedRay {
         let delta = splat(3.0).mul(sum).div(det.abs());
         let in_range = L::and(L::or(t.le(splat(t_max)), t.le(delta)), zero.sub(delta).le(t));
         let edges = L::bits(on_edge);
-        let mut lanes = L::bits(L::and(inside, in_range)) | edges;
+        let lanes = L::bits(L::and(inside, in_range)) | edges;
         if lanes == 0 {
-            return;
+            return Candidates::NONE;
         }
-        let (t, b1, b2, delta) = (t.store(), v.div(det).store(), w.div(det).store(), delta.store());
-        while lanes != 0 {
-            let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
-            lanes &= lanes - 1;
-            let crossing = Crossing { t: t[lane], b1: b1[lane], b2: b2[lane] };
-            let crossing = if edges >> lane & 1 != 0 {
-                self.meet_edge(block.corners(lane))
-            } else if crossing.t > delta[lane] {
-                Some(crossing)
-            } else {
-                self.meet_near(block.corners(lane), crossing, delta[lane])
-            };
-            if let Some(crossing) = crossing {
-                found(lane, crossing);
-            }
+        let (b1, b2) = (v.div(det).store(), w.div(det).store());
+        Candidates { lanes, edges, t: t.store(), b1, b2, delta: delta.store() }
+    }
+
+    /// Whether and where the ray really meets a candidate, at t > 0.
+    #[inline(always)]
+    pub(super) fn resolve(&self, candidates: &Candidates, block: &Block, lane: usize) -> Option<Crossing> {
+        let (t, delta) = (candidates.t[lane], candidates.delta[lane]);
+        let crossing = Crossing { t, b1: candidates.b1[lane], b2: candidates.b2[lane] };
+        if candidates.edges >> lane & 1 != 0 {
+            self.meet_edge(block.corners(lane))
+        } else if t > delta {
+            Some(crossing)
+        } else {
+            self.meet_near(block.corners(lane), crossing, delta)
         }
     }
 

@@ -14,8 +14,8 @@ const LEAF: u32 = 1 << 31;
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct WideNode {
-    /// Rows min x, max x, min y, max y, min z, max z, one column a child. Empty columns are never hit.
-    pub bounds: [[f32; WIDTH]; 6],
+    /// `bounds[axis][0 for min, 1 for max][child]`. Empty columns are never hit.
+    pub bounds: [[[f32; WIDTH]; 2]; 3],
     /// Child references.
     pub children: [Child; WIDTH],
 }
@@ -187,9 +187,7 @@ impl Builder<'_> {
     /// Appends the wide node with these children, and all below; `level` counts from 1 at the root.
     fn emit(&mut self, children: &Children, level: usize) -> u32 {
         let index = self.collapsed.tree.nodes.len();
-        let row = |value| [value; WIDTH];
-        let (low, high) = (row(f32::INFINITY), row(f32::NEG_INFINITY));
-        let bounds = [low, high, low, high, low, high];
+        let bounds = [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3];
         self.collapsed.tree.nodes.push(WideNode { bounds, children: [Child(LEAF); WIDTH] });
         // Below a node, at most seven siblings wait a level.
         let entries = level * (WIDTH - 1) + 1;
@@ -206,8 +204,8 @@ impl Builder<'_> {
             node.children[slot] = child;
             let bounds = self.binary.nodes[n as usize].bounds;
             for axis in 0..3 {
-                node.bounds[2 * axis][slot] = bounds.min[axis];
-                node.bounds[2 * axis + 1][slot] = bounds.max[axis];
+                node.bounds[axis][0][slot] = bounds.min[axis];
+                node.bounds[axis][1][slot] = bounds.max[axis];
             }
         }
         index as u32

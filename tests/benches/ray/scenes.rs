@@ -8,7 +8,7 @@ use std::f32::consts::{PI, TAU};
 
 /// A furnished room of half a million triangles, 4 × 1.5 × 3 units around the origin: large walls and planks, curved
 /// furniture of fine triangles, curtains, blinds, and plants of slivers.
-pub fn interior() -> Mesh {
+pub(crate) fn interior() -> Mesh {
     let mut mesh = Mesh::default();
     let s = &mut Stream::new(3, Purpose::Test, 0, 0);
     let (low, high) = (Vec3::new(-2.0, -0.75, -1.5) * 0.8, Vec3::new(2.0, 0.75, 1.5) * 0.8);
@@ -62,7 +62,7 @@ pub fn interior() -> Mesh {
 }
 
 /// An open box with two finely tessellated spheres, like scenes that show caustics.
-pub fn spheres() -> Mesh {
+pub(crate) fn spheres() -> Mesh {
     let mut mesh = Mesh::default();
     cuboid(&mut mesh, Vec3::splat(-1.0), Vec3::splat(1.0), Quat::IDENTITY, Vec3::ZERO);
     for (radius, at) in [(0.35, Vec3::new(-0.4, -0.65, -0.3)), (0.35, Vec3::new(0.4, -0.65, 0.3))] {

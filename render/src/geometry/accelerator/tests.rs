@@ -37,7 +37,7 @@ fn scene(mesh: Mesh) -> Accelerator {
 
 /// Every triangle by the same test, one at a time, without any tree.
 fn brute_force(meshes: &[Arc<Mesh>], instances: &[Instance], ray: &Ray, accept: impl Fn(&Hit) -> bool) -> Option<Hit> {
-    let mut best = Best { t: ray.t_max, hit: None };
+    let mut best = Best { t: ray.t_max, hit: None, accept: &accept };
     for (index, instance) in instances.iter().enumerate() {
         let (origin, direction) = match &instance.transform {
             None => (ray.origin, ray.direction),
@@ -51,12 +51,12 @@ fn brute_force(meshes: &[Arc<Mesh>], instances: &[Instance], ray: &Ray, accept: 
         for (triangle, corners) in sound_triangles(&meshes[instance.mesh as usize]) {
             let mut block = Block::EMPTY;
             block.set(0, corners, index as u32, triangle);
-            sheared.meet::<super::super::simd::Array<4>>(Portable, &block, f32::INFINITY, |_, c| {
-                let hit = Hit { t: c.t, b1: c.b1, b2: c.b2, instance: index as u32, triangle };
-                if best.yields_to(&hit) && accept(&hit) {
-                    best = Best { t: hit.t, hit: Some(hit) };
-                }
-            });
+            let candidates = sheared.meet::<super::super::simd::Array<4>>(Portable, &block, f32::INFINITY);
+            if candidates.lanes != 0
+                && let Some(c) = sheared.resolve(&candidates, &block, 0)
+            {
+                best.take(Hit { t: c.t, b1: c.b1, b2: c.b2, instance: index as u32, triangle });
+            }
         }
     }
     best.hit
@@ -104,7 +104,7 @@ fn soup(seed: u64, count: usize, size: f32) -> Mesh {
     let triangle = |i: usize| {
         let a = point(s);
         let (e, f) = (direction(s) * size, direction(s) * size);
-        let f = if i % 4 == 0 { e * s.next_f32() + f * 1e-6 } else { f };
+        let f = if i.is_multiple_of(4) { e * s.next_f32() + f * 1e-6 } else { f };
         [a, a + e, a + f]
     };
     mesh(&(0..count).map(triangle).collect::<Vec<_>>())
@@ -112,10 +112,10 @@ fn soup(seed: u64, count: usize, size: f32) -> Mesh {
 
 #[test]
 fn equals_brute_force_on_soups_and_slivers() {
-    for (seed, count, size) in [(1, 1, 1.0), (2, 3, 1.0), (3, 40, 0.7), (4, 1000, 0.2), (5, 5000, 0.05)] {
+    for (seed, count, size) in [(1, 1, 1.0), (2, 3, 1.0), (3, 40, 0.7), (4, 1000, 0.2), (5, 5000, 0.1)] {
         let meshes = [Arc::new(soup(seed, count, size))];
         let hits = assert_as_brute_force(&meshes, &[fixed(0)], rays(seed, 1500));
-        assert!(count < 40 || hits > 150, "{hits} of 1500 rays hit {count} triangles");
+        assert!(count < 40 || hits > 100, "{hits} of 1500 rays hit {count} triangles");
     }
 }
 
