@@ -11,6 +11,7 @@ pub mod cli;
 pub mod client;
 pub mod embedded;
 pub mod report;
+pub mod schedule;
 pub mod server;
 pub mod types;
 

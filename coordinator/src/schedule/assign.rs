@@ -1,0 +1,119 @@
+//! Handing out leases.
+
+use super::job::{Job, Retry, Work};
+use super::policy::Situation;
+use super::{Command, OpenLease, Scheduler};
+use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
+use gatherlight_proto::types::JobId;
+use std::time::Duration;
+
+/// SplitMix64's output function: a seed and a counter to 64 well-mixed bits (Steele, Lea and Flood 2014).
+fn mix(seed: u64, counter: u64) -> u64 {
+    let mut z = seed.wrapping_add(counter.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+impl Scheduler {
+    /// Gives every worker with room its next leases: first one each, then the second ones.
+    pub(super) fn assign_all(&mut self, now: Duration, out: &mut Vec<Command>) {
+        if self.jobs.values().all(|j| j.open_phases().next().is_none()) {
+            return;
+        }
+        for held in 0..self.policy.leases_per_worker {
+            let ready = self.workers.iter().filter(|(_, w)| !w.draining && w.leases.len() == held);
+            let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
+            for worker in ready {
+                self.assign(now, worker, out);
+            }
+        }
+    }
+
+    /// Gives `worker` one lease, of the first job in turn that has one for it.
+    fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) {
+        for position in 0..self.turn.len() {
+            let Some(&job) = self.turn.get(position) else { return };
+            let Some((phase, retry)) = self.next_task(job, worker) else { continue };
+            // To the back: among several jobs, each gets one lease in turn.
+            self.turn.remove(position);
+            self.turn.push_back(job);
+            if self.workers.get_mut(&worker).is_some_and(|w| w.prepared.insert(job)) {
+                out.push(Command::Prepare { worker, job });
+            }
+            self.open(now, worker, job, phase, retry, out);
+            return;
+        }
+    }
+
+    /// The next indices of `job` for `worker`: phase and task.
+    fn next_task(&mut self, job: JobId, worker: WorkerId) -> Option<(usize, Retry)> {
+        let w = self.workers.get(&worker)?;
+        if w.is_set_aside(job, self.policy.set_aside_after) {
+            return None;
+        }
+        let phases: Vec<usize> = self.jobs.get(&job)?.open_phases().collect();
+        for phase in phases {
+            let work = self.jobs.get(&job)?.work(phase)?;
+            if let Some(i) = work.retries.iter().position(|r| self.may_retry(job, worker, r)) {
+                let retry = self.jobs.get_mut(&job)?.work_mut(phase)?.retries.swap_remove(i);
+                return Some((phase, retry));
+            }
+            if !work.fresh.is_empty() {
+                let units = self.policy.lease_units(work.phase, self.situation(job, phase, worker, work)?);
+                let from = self.policy.shuffle.map_or(0, |seed| mix(seed, self.last_lease) % work.phase.units());
+                let range = self.jobs.get_mut(&job)?.work_mut(phase)?.fresh.take_from(from, units)?;
+                return Some((phase, Retry { range, history: Default::default() }));
+            }
+        }
+        None
+    }
+
+    /// A task goes back to a worker that failed it only when nobody else is there.
+    fn may_retry(&self, job: JobId, worker: WorkerId, retry: &Retry) -> bool {
+        let failed_by = |id: WorkerId| retry.history.failures.iter().any(|&(w, _)| w == id);
+        let limit = self.policy.set_aside_after;
+        let could = |(&id, w): (&WorkerId, &super::Worker)| !w.draining && !w.is_set_aside(job, limit) && !failed_by(id);
+        !failed_by(worker) || !self.workers.iter().any(could)
+    }
+
+    fn situation(&self, job: JobId, phase: usize, worker: WorkerId, work: &Work) -> Option<Situation> {
+        let w = self.workers.get(&worker)?;
+        let rate = w.rate((job, phase));
+        let active = || self.workers.values().filter(|w| !w.draining);
+        let measured = || active().filter_map(|w| w.rate((job, phase)));
+        let share = match rate {
+            // Workers not measured yet count as average ones.
+            Some(r) => r / (measured().sum::<f64>() / measured().count() as f64 * active().count() as f64),
+            None => 1.0 / active().count() as f64,
+        };
+        let remaining = work.fresh.units();
+        let stored_per_unit = work.stored_per_unit();
+        Some(Situation { threads: w.threads, rate, share: share.clamp(1e-6, 1.0), remaining, stored_per_unit })
+    }
+
+    /// Opens a lease and sends it.
+    fn open(
+        &mut self,
+        now: Duration,
+        worker: WorkerId,
+        job: JobId,
+        phase: usize,
+        retry: Retry,
+        out: &mut Vec<Command>,
+    ) {
+        let Retry { range, mut history } = retry;
+        history.attempts += 1;
+        self.last_lease += 1;
+        let id = LeaseId(self.last_lease);
+        let Some(task) = self.jobs.get(&job).map(|j: &Job| j.task(phase)) else { return };
+        let lease = Lease { id, attempt: history.attempts, job, range, task };
+        let Some(w) = self.workers.get_mut(&worker) else { return };
+        w.leases.insert(id);
+        // The lease may wait behind the others the worker holds.
+        let time = self.policy.lease_time(range.len(), w.rate((job, phase)), history.attempts);
+        let deadline = now + time * w.leases.len() as u32;
+        out.push(Command::Assign { worker, lease: lease.clone() });
+        self.leases.insert(id, OpenLease { lease, phase, worker, deadline, history });
+    }
+}

@@ -1,0 +1,195 @@
+//! What can happen, and what is to be done about it.
+
+use gatherlight_proto::message::{Lease, LeaseId, MapRef, WorkerId};
+use gatherlight_proto::types::JobId;
+use gatherlight_render::job::Phase;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::time::Duration;
+
+/// Something happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// A client submitted a job; its scene is there and prepared.
+    Submitted {
+        /// Its new id.
+        job: JobId,
+        /// Its phases; the last one is the gather pass.
+        phases: Vec<Phase>,
+    },
+    /// A client wants it no more.
+    Cancelled {
+        /// The job.
+        job: JobId,
+    },
+    /// A worker opened a session.
+    Joined {
+        /// Its new id.
+        worker: WorkerId,
+        /// Its compute threads.
+        threads: u32,
+    },
+    /// A worker's heartbeat, or any other message of it.
+    Heard {
+        /// The worker.
+        worker: WorkerId,
+    },
+    /// A worker's session ended.
+    Lost {
+        /// The worker.
+        worker: WorkerId,
+    },
+    /// A worker wants no more leases.
+    Draining {
+        /// The worker.
+        worker: WorkerId,
+    },
+    /// A result arrived whole and valid.
+    Completed {
+        /// Who sent it.
+        worker: WorkerId,
+        /// For which lease.
+        lease: LeaseId,
+        /// And attempt.
+        attempt: u32,
+        /// The indices it covers.
+        range: EmissionRange,
+        /// Time the worker computed.
+        busy: Duration,
+        /// Photons in it.
+        stored: u64,
+    },
+    /// A worker could not do a lease, or its result was invalid.
+    TaskFailed {
+        /// The worker.
+        worker: WorkerId,
+        /// The lease.
+        lease: LeaseId,
+        /// Its attempt.
+        attempt: u32,
+        /// Why.
+        error: String,
+    },
+    /// A worker gave a lease back undone.
+    Returned {
+        /// The worker.
+        worker: WorkerId,
+        /// The lease.
+        lease: LeaseId,
+        /// Its attempt.
+        attempt: u32,
+    },
+    /// [`Command::BuildMap`] is done.
+    MapBuilt {
+        /// The job.
+        job: JobId,
+        /// Where workers find the map.
+        map: MapRef,
+    },
+    /// [`Command::Assemble`] is done.
+    Assembled {
+        /// The job.
+        job: JobId,
+    },
+    /// The coordinator's own part of a job failed.
+    StepFailed {
+        /// The job.
+        job: JobId,
+        /// Why.
+        error: String,
+    },
+    /// Time passed.
+    Tick,
+}
+
+/// Why a result does not count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Discarded {
+    /// The lease is not, or no longer, this worker's.
+    Stale,
+    /// It covers other indices than the lease.
+    WrongRange,
+}
+
+/// How a job ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// The image is there.
+    Done,
+    /// It failed, for this reason.
+    Failed(String),
+    /// A client cancelled it.
+    Cancelled,
+}
+
+/// Something to do. Commands are to be carried out in order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Command {
+    /// Tell a worker about a job, before its first lease of it.
+    Prepare {
+        /// The worker.
+        worker: WorkerId,
+        /// The job.
+        job: JobId,
+    },
+    /// Give a worker a lease.
+    Assign {
+        /// The worker.
+        worker: WorkerId,
+        /// The lease.
+        lease: Lease,
+    },
+    /// Tell a worker that a lease is not wanted any more.
+    Revoke {
+        /// The worker.
+        worker: WorkerId,
+        /// The lease.
+        lease: LeaseId,
+    },
+    /// Tell a worker that a job has ended.
+    Forget {
+        /// The worker.
+        worker: WorkerId,
+        /// The job.
+        job: JobId,
+    },
+    /// The result that just completed counts: merge its photons or insert its tiles.
+    Accept {
+        /// The job.
+        job: JobId,
+        /// The lease.
+        lease: LeaseId,
+    },
+    /// The result that just completed does not count.
+    Discard {
+        /// The lease it claims.
+        lease: LeaseId,
+        /// Why.
+        reason: Discarded,
+    },
+    /// All photons of a map are there: merge them, build the map, encode it for the broadcast.
+    BuildMap {
+        /// The job.
+        job: JobId,
+        /// The map.
+        kind: MapKind,
+    },
+    /// All tiles are there: put the image together.
+    Assemble {
+        /// The job.
+        job: JobId,
+    },
+    /// The job has ended.
+    Finish {
+        /// The job.
+        job: JobId,
+        /// How.
+        outcome: Outcome,
+    },
+    /// End a worker's session.
+    Dismiss {
+        /// The worker.
+        worker: WorkerId,
+        /// Why.
+        reason: String,
+    },
+}

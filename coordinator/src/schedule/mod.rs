@@ -1,0 +1,289 @@
+//! Who does what: a pure state machine. Events come in with the time they happened; commands go out, to be carried out
+//! by the driver. No clock, no tasks, no channels, no payload: only ids, counts and digests.
+//!
+//! Every index of every phase is, at any time, in exactly one place: fresh, waiting for a retry, in one open lease, or
+//! done. So an index counts once, whatever arrives twice, late or not at all.
+
+mod assign;
+pub mod event;
+pub mod job;
+pub mod policy;
+pub mod pool;
+#[cfg(test)]
+mod tests;
+pub mod workers;
+
+pub use event::{Command, Discarded, Event, Outcome};
+pub use policy::Policy;
+
+use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
+use gatherlight_proto::types::JobId;
+use gatherlight_render::photon::EmissionRange;
+use job::{History, Job, Next, Retry};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+use workers::{Worker, Workers};
+
+/// A lease that is out.
+#[derive(Clone, Debug)]
+pub struct OpenLease {
+    /// As the worker got it.
+    pub lease: Lease,
+    /// Index of its phase within the job.
+    pub phase: usize,
+    /// Who has it.
+    pub worker: WorkerId,
+    /// When it is given up.
+    pub deadline: Duration,
+    /// The past of its indices, this attempt included.
+    pub history: History,
+}
+
+/// The scheduler's whole state.
+#[derive(Debug, Default)]
+pub struct Scheduler {
+    policy: Policy,
+    jobs: BTreeMap<JobId, Job>,
+    /// Jobs in the order in which they get the next lease.
+    turn: VecDeque<JobId>,
+    workers: Workers,
+    leases: BTreeMap<LeaseId, OpenLease>,
+    last_lease: u64,
+}
+
+impl Scheduler {
+    /// No jobs, no workers.
+    pub fn new(policy: Policy) -> Self {
+        Scheduler { policy, ..Scheduler::default() }
+    }
+    /// Takes in what happened at time `now` (from any origin, never going back); returns what to do about it.
+    pub fn handle(&mut self, now: Duration, event: Event) -> Vec<Command> {
+        let mut out = Vec::new();
+        match event {
+            Event::Submitted { job, phases } => self.submitted(job, &phases, &mut out),
+            Event::Cancelled { job } => self.end(job, Outcome::Cancelled, &mut out),
+            Event::Joined { worker, threads } => drop(self.workers.insert(worker, Worker::new(now, threads))),
+            Event::Heard { worker } => self.heard(now, worker),
+            Event::Lost { worker } => self.lost(worker, &mut out),
+            Event::Draining { worker } => self.draining(now, worker),
+            Event::Completed { worker, lease, attempt, range, busy, stored } => {
+                self.heard(now, worker);
+                self.completed((worker, lease, attempt), range, busy, stored, &mut out);
+            }
+            Event::TaskFailed { worker, lease, attempt, error } => {
+                self.heard(now, worker);
+                self.failed((worker, lease, attempt), error, &mut out);
+            }
+            Event::Returned { worker, lease, attempt } => {
+                self.heard(now, worker);
+                if self.is_open(worker, lease, attempt) {
+                    self.take_back(lease, |_| {}, &mut out);
+                }
+            }
+            Event::MapBuilt { job, map } => {
+                if self.jobs.get_mut(&job).is_some_and(|j| j.map_built(map)) {
+                    self.advance(job, &mut out);
+                }
+            }
+            Event::Assembled { job } => self.end(job, Outcome::Done, &mut out),
+            Event::StepFailed { job, error } => self.end(job, Outcome::Failed(error), &mut out),
+            Event::Tick => self.tick(now, &mut out),
+        }
+        self.assign_all(now, &mut out);
+        out
+    }
+    /// A job that has not ended.
+    pub fn job(&self, job: JobId) -> Option<&Job> {
+        self.jobs.get(&job)
+    }
+    /// The workers.
+    pub fn workers(&self) -> &Workers {
+        &self.workers
+    }
+    /// The policy.
+    pub fn policy(&self) -> &Policy {
+        &self.policy
+    }
+    /// Open leases.
+    pub fn leases(&self) -> impl Iterator<Item = &OpenLease> {
+        self.leases.values()
+    }
+    /// Whether this worker holds this lease in this attempt.
+    pub fn is_open(&self, worker: WorkerId, lease: LeaseId, attempt: u32) -> bool {
+        self.leases.get(&lease).is_some_and(|l| l.worker == worker && l.lease.attempt == attempt)
+    }
+    /// The open lease of that name.
+    pub fn lease(&self, lease: LeaseId) -> Option<&OpenLease> {
+        self.leases.get(&lease)
+    }
+
+    fn submitted(&mut self, id: JobId, phases: &[gatherlight_render::job::Phase], out: &mut Vec<Command>) {
+        let Some(job) = Job::new(id, phases) else {
+            let error = "the job's phases are not emissions followed by one gather pass".to_owned();
+            out.push(Command::Finish { job: id, outcome: Outcome::Failed(error) });
+            return;
+        };
+        self.jobs.insert(id, job);
+        self.turn.push_back(id);
+        self.advance(id, out);
+    }
+
+    fn heard(&mut self, now: Duration, worker: WorkerId) {
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.last_heard = now;
+        }
+    }
+
+    fn draining(&mut self, now: Duration, worker: WorkerId) {
+        self.heard(now, worker);
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.draining = true;
+        }
+    }
+
+    fn completed(
+        &mut self,
+        (worker, lease, attempt): (WorkerId, LeaseId, u32),
+        range: EmissionRange,
+        busy: Duration,
+        stored: u64,
+        out: &mut Vec<Command>,
+    ) {
+        if !self.is_open(worker, lease, attempt) {
+            return out.push(Command::Discard { lease, reason: Discarded::Stale });
+        }
+        let leased = self.leases.get(&lease).map(|l| l.lease.range);
+        if leased != Some(range) {
+            out.push(Command::Discard { lease, reason: Discarded::WrongRange });
+            let error = format!("returned {range:?} for a lease of {leased:?}");
+            return self.failed((worker, lease, attempt), error, out);
+        }
+        let Some(open) = self.leases.remove(&lease) else { return };
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.leases.remove(&lease);
+            w.completed += 1;
+            w.measured((open.lease.job, open.phase), range.len(), busy);
+        }
+        let Some(work) = self.jobs.get_mut(&open.lease.job).and_then(|j| j.work_mut(open.phase)) else { return };
+        let new = work.done.insert(range);
+        debug_assert!(new, "an open lease never covers what is done");
+        work.stored += stored;
+        out.push(Command::Accept { job: open.lease.job, lease });
+        self.advance(open.lease.job, out);
+    }
+
+    /// Takes a job's due steps.
+    fn advance(&mut self, id: JobId, out: &mut Vec<Command>) {
+        while let Some(job) = self.jobs.get_mut(&id) {
+            match job.advance() {
+                Next::Nothing => return,
+                Next::Build(kind) => out.push(Command::BuildMap { job: id, kind }),
+                Next::Assemble => out.push(Command::Assemble { job: id }),
+            }
+        }
+    }
+
+    /// A task failed on its worker: it is tried elsewhere, until that is hopeless.
+    fn failed(&mut self, key: (WorkerId, LeaseId, u32), error: String, out: &mut Vec<Command>) {
+        let (worker, lease, attempt) = key;
+        if !self.is_open(worker, lease, attempt) {
+            return;
+        }
+        let Some(open) = self.leases.get(&lease) else { return };
+        let (job, phase, first) = (open.lease.job, open.phase, open.lease.range.first);
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.failed(job, phase, first);
+        }
+        self.take_back(lease, |history| history.failures.push((worker, error)), out);
+        let limit = self.policy.set_aside_after;
+        if self.jobs.contains_key(&job) && self.workers.values().all(|w| w.is_set_aside(job, limit)) {
+            let text = format!("every worker failed {limit} tasks; {}", self.errors_of(job));
+            self.end(job, Outcome::Failed(text), out);
+        }
+    }
+
+    /// The latest errors of a job's waiting tasks.
+    fn errors_of(&self, job: JobId) -> String {
+        let Some(job) = self.jobs.get(&job) else { return String::new() };
+        let works = job.emissions.iter().map(|e| &e.work).chain([&job.gather]);
+        let last = works.flat_map(|w| &w.retries).filter_map(|r| r.history.failures.last());
+        last.take(3).map(|(w, e)| format!("worker {}: {e}", w.0)).collect::<Vec<_>>().join("; ")
+    }
+
+    /// A worker is gone: its leases are done by others.
+    fn lost(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
+        let Some(gone) = self.workers.remove(&worker) else { return };
+        for lease in gone.leases {
+            self.take_back(lease, |history| history.losses += 1, out);
+        }
+    }
+
+    /// Puts an open lease's indices up for a retry, or fails their job when that is hopeless.
+    fn take_back(&mut self, lease: LeaseId, note: impl FnOnce(&mut History), out: &mut Vec<Command>) {
+        let Some(mut open) = self.leases.remove(&lease) else { return };
+        if let Some(w) = self.workers.get_mut(&open.worker) {
+            w.leases.remove(&lease);
+        }
+        note(&mut open.history);
+        let (id, range, history) = (open.lease.job, open.lease.range, open.history);
+        let hopeless = self.hopeless(open.phase, range, &history);
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        job.retried += 1;
+        if let Some(work) = job.work_mut(open.phase) {
+            work.retries.push(Retry { range, history });
+        }
+        if let Some(error) = hopeless {
+            self.end(id, Outcome::Failed(error), out);
+        }
+    }
+
+    fn hopeless(&self, phase: usize, range: EmissionRange, history: &History) -> Option<String> {
+        let task = format!("task [{}, {}) of phase {}", range.first, range.end, phase + 1);
+        if history.failures.len() >= self.policy.max_failures {
+            let errors: Vec<_> = history.failures.iter().map(|(w, e)| format!("worker {}: {e}", w.0)).collect();
+            return Some(format!("{task} failed {} times: {}", errors.len(), errors.join("; ")));
+        }
+        (history.losses >= self.policy.max_losses)
+            .then(|| format!("{task} was lost {} times with its worker: it may be what stops them", history.losses))
+    }
+
+    /// A job comes to its end; nothing of it stays here.
+    fn end(&mut self, job: JobId, outcome: Outcome, out: &mut Vec<Command>) {
+        if self.jobs.remove(&job).is_none() {
+            return;
+        }
+        self.turn.retain(|&j| j != job);
+        let open: Vec<LeaseId> = self.leases.values().filter(|l| l.lease.job == job).map(|l| l.lease.id).collect();
+        for lease in open {
+            let Some(gone) = self.leases.remove(&lease) else { continue };
+            if let Some(w) = self.workers.get_mut(&gone.worker) {
+                w.leases.remove(&lease);
+            }
+            out.push(Command::Revoke { worker: gone.worker, lease });
+        }
+        for (&worker, w) in &mut self.workers {
+            if w.forget(job) {
+                out.push(Command::Forget { worker, job });
+            }
+        }
+        out.push(Command::Finish { job, outcome });
+    }
+
+    /// Silent workers are dead, late leases are given up.
+    fn tick(&mut self, now: Duration, out: &mut Vec<Command>) {
+        let dead_after = self.policy.dead_after;
+        let silent = |w: &Worker| now.saturating_sub(w.last_heard) > dead_after;
+        let dead: Vec<WorkerId> = self.workers.iter().filter(|(_, w)| silent(w)).map(|(&id, _)| id).collect();
+        for worker in dead {
+            let reason = format!("no heartbeat for {} s", dead_after.as_secs());
+            out.push(Command::Dismiss { worker, reason });
+            self.lost(worker, out);
+        }
+        let late: Vec<(LeaseId, WorkerId)> =
+            self.leases.values().filter(|l| now > l.deadline).map(|l| (l.lease.id, l.worker)).collect();
+        for (lease, worker) in late {
+            out.push(Command::Revoke { worker, lease });
+            self.take_back(lease, |history| history.losses += 1, out);
+        }
+    }
+}
