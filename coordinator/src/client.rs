@@ -1,11 +1,29 @@
 //! Speaks to a coordinator elsewhere.
 
+use crate::manifest;
+use crate::random::random_u64;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
+use gatherlight_proto::chunk::{Assembler, chunks};
+use gatherlight_proto::connect::{Stamp, endpoint, pause, reason};
+use gatherlight_proto::error::truncated;
+use gatherlight_proto::limits::{MAX_IMAGE_BYTES, MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
+use gatherlight_proto::version::Versions;
+use gatherlight_proto::wire::jobs_client::JobsClient;
+use gatherlight_proto::{Digest, WireError, wire};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::settings::RenderSettings;
 use std::pin::Pin;
-use tokio_stream::Stream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio_stream::{Stream, StreamExt};
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::Channel;
+use tonic::{Code, Status};
+
+/// Time between two reports of upload progress.
+const REPORT_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Attempts to reach a coordinator before giving up, by default.
 pub const DEFAULT_ATTEMPTS: u32 = 5;
@@ -78,7 +96,8 @@ pub type ProgressStream = Pin<Box<dyn Stream<Item = Result<JobProgress, ClientEr
 /// A connection to a coordinator; clones share it.
 #[derive(Clone, Debug)]
 pub struct Client {
-    url: String,
+    url: Arc<str>,
+    jobs: JobsClient<InterceptedService<Channel, Stamp>>,
 }
 
 /// Connects to the coordinator at `url` (`http://HOST:PORT`), trying `attempts` times with growing pauses, and checks
@@ -87,12 +106,67 @@ pub struct Client {
 /// # Errors
 /// When the URL makes no sense, nothing answers (the text has the address), or the versions differ (it has both).
 pub async fn connect(url: &str, attempts: u32) -> Result<Client, ClientError> {
-    Err(ClientError::Unreachable { url: url.into(), attempts, reason: "not there yet".into() })
+    connect_as(url, attempts, Versions::own()).await
+}
+
+/// As [`connect`], claiming other versions than this build's; for tests.
+///
+/// # Errors
+/// As [`connect`].
+pub async fn connect_as(url: &str, attempts: u32, versions: Versions) -> Result<Client, ClientError> {
+    let endpoint = endpoint(url).map_err(|reason| ClientError::Url { url: url.into(), reason })?;
+    let attempts = attempts.max(1);
+    let mut last = String::new();
+    for attempt in 0..attempts {
+        if attempt > 0 {
+            tokio::time::sleep(pause(attempt, random_u64())).await;
+        }
+        match endpoint.connect().await {
+            Ok(channel) => {
+                let jobs = JobsClient::with_interceptor(channel, Stamp(versions));
+                let jobs = jobs.max_decoding_message_size(MAX_MESSAGE_BYTES);
+                let client = Client { url: url.into(), jobs };
+                client.greet().await?;
+                return Ok(client);
+            }
+            Err(error) => last = reason(&error),
+        }
+    }
+    Err(ClientError::Unreachable { url: url.into(), attempts, reason: last })
 }
 
 impl Client {
-    fn inert<T>(&self) -> Result<T, ClientError> {
-        Err(ClientError::Transport { url: self.url.clone(), reason: "not there yet".into() })
+    async fn greet(&self) -> Result<(), ClientError> {
+        let reply = self.jobs.clone().greet(wire::GreetRequest {}).await.map_err(|s| self.failed(&s))?.into_inner();
+        if reply.protocol != PROTOCOL_VERSION {
+            return Err(ClientError::Version(format!(
+                "version mismatch: the coordinator at {} is gatherlight {} with protocol {}, this client is gatherlight \
+                 {} with protocol {PROTOCOL_VERSION}; install the same version on both",
+                self.url,
+                truncated(&reply.version, 32),
+                reply.protocol,
+                gatherlight_render::VERSION,
+            )));
+        }
+        Ok(())
+    }
+    fn failed(&self, status: &Status) -> ClientError {
+        let text = status.message().to_owned();
+        match status.code() {
+            Code::NotFound => ClientError::NotFound(text),
+            Code::FailedPrecondition if text.starts_with("version mismatch") => ClientError::Version(text),
+            Code::InvalidArgument | Code::FailedPrecondition | Code::ResourceExhausted => ClientError::Refused(text),
+            _ => self.transport(text),
+        }
+    }
+    fn transport(&self, reason: impl Into<String>) -> ClientError {
+        ClientError::Transport { url: self.url.to_string(), reason: reason.into() }
+    }
+    fn senseless(&self, error: WireError) -> ClientError {
+        self.transport(format!("it sent something senseless: {error}"))
+    }
+    fn snapshot(&self, job: wire::Job) -> Result<JobProgress, ClientError> {
+        JobProgress::try_from(job).map_err(|e| self.senseless(e))
     }
     /// The coordinator's address.
     pub fn url(&self) -> &str {
@@ -104,51 +178,118 @@ impl Client {
     /// When the scene, the settings or a limit is at fault, or the connection breaks.
     pub async fn submit(
         &self,
-        _request: &SubmitRequest,
-        _uploaded: impl FnMut(u64, u64) + Send,
+        request: &SubmitRequest,
+        mut uploaded: impl FnMut(u64, u64) + Send,
     ) -> Result<JobId, ClientError> {
-        self.inert()
+        let (manifest, files) = manifest::pack(&request.bundle);
+        let blobs = manifest.blobs().into_iter().map(Into::into).collect();
+        let missing = self.jobs.clone().missing(wire::MissingRequest { blobs }).await.map_err(|s| self.failed(&s))?;
+        let mut wanted = Vec::new();
+        for digest in missing.into_inner().digests {
+            let digest = Digest::try_from(&digest[..]).map_err(|e| self.senseless(e))?;
+            let bytes = files.get(&digest).ok_or_else(|| self.transport("it asks for a file of another scene"))?;
+            wanted.push((digest, bytes.clone()));
+        }
+        let total: u64 = wanted.iter().map(|(_, bytes)| bytes.len() as u64).sum();
+        let sent = Arc::new(AtomicU64::new(0));
+        for (digest, bytes) in wanted {
+            self.upload(digest, bytes, &sent, |now| uploaded(now, total)).await?;
+        }
+        uploaded(total, total);
+        let request_key = [random_u64(), random_u64()].map(u64::to_le_bytes).concat();
+        let submission = wire::SubmitRequest {
+            name: request.name.clone(),
+            scene: Some((&manifest).into()),
+            settings: Some((&request.settings).into()),
+            request_key: request_key.into(),
+        };
+        let reply = self.jobs.clone().submit(submission).await.map_err(|s| self.failed(&s))?;
+        Ok(JobId(reply.into_inner().job))
+    }
+    async fn upload(
+        &self,
+        digest: Digest,
+        bytes: Bytes,
+        sent: &Arc<AtomicU64>,
+        mut report: impl FnMut(u64) + Send,
+    ) -> Result<(), ClientError> {
+        let count = sent.clone();
+        let pieces = chunks(bytes, digest).inspect(move |c| {
+            count.fetch_add(c.data.len() as u64, Ordering::Relaxed);
+        });
+        let mut jobs = self.jobs.clone();
+        let mut upload = std::pin::pin!(jobs.upload(tokio_stream::iter(pieces)));
+        loop {
+            tokio::select! {
+                done = &mut upload => return done.map(drop).map_err(|s| self.failed(&s)),
+                () = tokio::time::sleep(REPORT_INTERVAL) => report(sent.load(Ordering::Relaxed)),
+            }
+        }
     }
     /// All jobs the coordinator knows, oldest first.
     ///
     /// # Errors
     /// When the connection breaks.
     pub async fn list(&self) -> Result<Vec<JobProgress>, ClientError> {
-        self.inert()
+        let reply = self.jobs.clone().list(wire::ListRequest {}).await.map_err(|s| self.failed(&s))?;
+        reply.into_inner().jobs.into_iter().map(|j| self.snapshot(j)).collect()
     }
     /// One job.
     ///
     /// # Errors
     /// When there is no such job or the connection breaks.
-    pub async fn get(&self, _id: JobId) -> Result<JobProgress, ClientError> {
-        self.inert()
+    pub async fn get(&self, id: JobId) -> Result<JobProgress, ClientError> {
+        let reply = self.jobs.clone().get(wire::GetRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
+        self.snapshot(reply.into_inner())
     }
     /// Snapshots of one job as it goes on, until its final state.
     ///
     /// # Errors
     /// When there is no such job or the connection breaks.
-    pub async fn watch(&self, _id: JobId) -> Result<ProgressStream, ClientError> {
-        self.inert()
+    pub async fn watch(&self, id: JobId) -> Result<ProgressStream, ClientError> {
+        let reply = self.jobs.clone().watch(wire::WatchRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
+        let client = self.clone();
+        let snapshots = reply.into_inner().map(move |item| match item {
+            Ok(job) => client.snapshot(job),
+            Err(status) => Err(client.failed(&status)),
+        });
+        Ok(Box::pin(snapshots))
     }
     /// The finished image. `received` hears (bytes received, bytes in all).
     ///
     /// # Errors
     /// When there is no such job, it is not done, or the connection breaks.
-    pub async fn fetch(&self, _id: JobId, _received: impl FnMut(u64, u64) + Send) -> Result<FetchedImage, ClientError> {
-        self.inert()
+    pub async fn fetch(
+        &self,
+        id: JobId,
+        mut received: impl FnMut(u64, u64) + Send,
+    ) -> Result<FetchedImage, ClientError> {
+        let request = wire::FetchImageRequest { job: id.0 };
+        let mut stream = self.jobs.clone().fetch_image(request).await.map_err(|s| self.failed(&s))?.into_inner();
+        let mut assembler = Assembler::new("image size in bytes", MAX_IMAGE_BYTES, "MAX_IMAGE_BYTES");
+        let mut total = 0;
+        while let Some(chunk) = stream.message().await.map_err(|s| self.failed(&s))? {
+            total = total.max(chunk.total_bytes);
+            assembler.push(&chunk).map_err(|e| self.senseless(e))?;
+            received(assembler.received(), total);
+        }
+        let (exr, digest) = assembler.finish().map_err(|e| self.senseless(e))?;
+        Ok(FetchedImage { exr, digest: digest.to_string() })
     }
     /// Cancels a job; one that has ended stays as it is. Returns its state afterwards.
     ///
     /// # Errors
     /// When there is no such job or the connection breaks.
-    pub async fn cancel(&self, _id: JobId) -> Result<JobProgress, ClientError> {
-        self.inert()
+    pub async fn cancel(&self, id: JobId) -> Result<JobProgress, ClientError> {
+        let reply = self.jobs.clone().cancel(wire::CancelRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
+        self.snapshot(reply.into_inner())
     }
     /// The workers that are there.
     ///
     /// # Errors
     /// When the connection breaks.
     pub async fn workers(&self) -> Result<Vec<WorkerInfo>, ClientError> {
-        self.inert()
+        let reply = self.jobs.clone().workers(wire::WorkersRequest {}).await.map_err(|s| self.failed(&s))?;
+        Ok(reply.into_inner().workers.into_iter().map(Into::into).collect())
     }
 }

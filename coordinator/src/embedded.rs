@@ -1,8 +1,36 @@
-//! A whole job in this process: the cluster's own coordinator and workers, joined by in-memory streams.
+//! A whole job in this process: the cluster's own coordinator and workers, joined by in-memory streams. The only file
+//! here that knows the worker.
 
-use crate::types::{JobProgress, JobResult};
+use crate::compute::Compute;
+use crate::driver::{Driver, DriverConfig, Handle, KeepImage};
+use crate::intake::{self, IntakeError, Submission};
+use crate::manifest;
+use crate::random::random_u64;
+use crate::schedule::Policy;
+use crate::service::{self, Context};
+use crate::store::Store;
+use crate::types::{JobId, JobProgress, JobResult, JobState};
+use gatherlight_proto::connect::tuned;
+use gatherlight_proto::limits::HEARTBEAT;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::settings::RenderSettings;
+use gatherlight_worker::{Connector, Faults, WorkerConfig};
+use hyper_util::rt::TokioIo;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::DuplexStream;
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+use tokio_stream::StreamExt;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Endpoint;
+use tower::service_fn;
+
+/// Bytes in flight between coordinator and worker, each way: half a chunk.
+const PIPE_BYTES: usize = 1 << 20;
+/// Least time between two calls of a progress callback.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Where to compute; cannot change the image.
 #[derive(Clone, Debug)]
@@ -11,11 +39,15 @@ pub struct Config {
     pub threads: usize,
     /// Workers, ≥ 1.
     pub workers: usize,
+    /// The scheduler's constants.
+    pub policy: Policy,
+    /// Misbehaviour of the workers, by number, for tests.
+    pub faults: Vec<Faults>,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Config { threads: 0, workers: 1 }
+        Config { threads: 0, workers: 1, policy: Policy::default(), faults: Vec::new() }
     }
 }
 
@@ -33,16 +65,143 @@ pub enum RenderError {
     Start(String),
 }
 
-/// Renders `bundle` with `settings` and blocks until done. `progress` is called at most ten times a second, on another
-/// thread than the caller's, and last with the final state.
+/// Renders `bundle` with `settings` and blocks until done. `progress` is called at most ten times a second, on the
+/// caller's thread, and last with the final state. Not to be called from async code.
 ///
 /// # Errors
 /// When the scene or the settings make no sense, or the work failed.
 pub fn render(
-    _bundle: &SceneBundle,
-    _settings: &RenderSettings,
-    _config: &Config,
-    _progress: impl FnMut(&JobProgress) + Send,
+    bundle: &SceneBundle,
+    settings: &RenderSettings,
+    config: &Config,
+    progress: impl FnMut(&JobProgress) + Send,
 ) -> Result<JobResult, RenderError> {
-    Err(RenderError::Start("the in-process cluster is not there yet".into()))
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        // For waiting and copying; the compute threads are others.
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| RenderError::Start(e.to_string()))?;
+    let result = runtime.block_on(rendered(&runtime, bundle, settings, config, progress));
+    runtime.shutdown_background();
+    result
+}
+
+async fn rendered(
+    runtime: &Runtime,
+    bundle: &SceneBundle,
+    settings: &RenderSettings,
+    config: &Config,
+    progress: impl FnMut(&JobProgress) + Send,
+) -> Result<JobResult, RenderError> {
+    let compute = Compute::new(config.threads).map_err(RenderError::Start)?;
+    let store = Arc::new(Store::memory());
+    let driver_config = DriverConfig {
+        policy: config.policy.clone(),
+        max_live_jobs: 1,
+        keep: KeepImage::Film,
+        heartbeat: HEARTBEAT,
+    };
+    let driver = Driver::start(driver_config, compute.clone(), store.clone());
+    let job = submit(&driver, &compute, &store, bundle, settings).await?;
+    let context = Context { driver: driver.clone(), compute, store };
+    start_cluster(runtime, context, config).await;
+    let last = follow(&driver, job, progress).await?;
+    match last.state {
+        JobState::Done => {}
+        JobState::Failed(error) => return Err(RenderError::Failed(error)),
+        state => return Err(RenderError::Failed(format!("the job ended as {}", state.name()))),
+    }
+    let film = driver.film(job).await.ok_or_else(|| RenderError::Failed("the image is gone".into()))?;
+    Ok(JobResult { film, stats: last.stats, elapsed: last.elapsed })
+}
+
+async fn submit(
+    driver: &Handle,
+    compute: &Compute,
+    store: &Arc<Store>,
+    bundle: &SceneBundle,
+    settings: &RenderSettings,
+) -> Result<JobId, RenderError> {
+    let (manifest, blobs) = manifest::pack(bundle);
+    for bytes in blobs.into_values() {
+        store.put(bytes).map_err(|e| RenderError::Start(e.to_string()))?;
+    }
+    let mut request_key = [0; 16];
+    request_key[..8].copy_from_slice(&random_u64().to_le_bytes());
+    let name = bundle.name.clone();
+    let submission = Submission { name, request_key, manifest, settings: settings.clone() };
+    intake::submit(driver, compute, store, submission).await.map_err(|e| match e {
+        IntakeError::Job(e) => RenderError::Job(e),
+        other => RenderError::Failed(other.to_string()),
+    })
+}
+
+/// The coordinator's services and the workers, joined by pipes.
+async fn start_cluster(runtime: &Runtime, context: Context, config: &Config) {
+    let (pipes, incoming) = mpsc::channel::<DuplexStream>(config.workers.max(1));
+    let router = service::router(context).await;
+    let incoming = ReceiverStream::new(incoming).map(Ok::<_, io::Error>);
+    runtime.spawn(async move {
+        if let Err(error) = router.serve_with_incoming(incoming).await {
+            tracing::error!(%error, "the in-process coordinator stopped");
+        }
+    });
+    for number in 0..config.workers.max(1) {
+        let worker = WorkerConfig {
+            threads: config.threads,
+            memory_bytes: u64::MAX,
+            faults: config.faults.get(number).cloned().unwrap_or_default(),
+            ..WorkerConfig::new(format!("local-{number}"))
+        };
+        let connector = in_memory(pipes.clone());
+        runtime.spawn(async move {
+            if let Err(error) = gatherlight_worker::run(worker, connector, std::future::pending()).await {
+                tracing::error!(number, %error, "an in-process worker stopped");
+            }
+        });
+    }
+}
+
+/// Connects by making a pipe and handing its other end to the coordinator.
+fn in_memory(pipes: mpsc::Sender<DuplexStream>) -> Connector {
+    Connector::custom("this process", move || {
+        let pipes = pipes.clone();
+        Box::pin(async move {
+            let connect = service_fn(move |_| {
+                let pipes = pipes.clone();
+                async move {
+                    let (near, far) = tokio::io::duplex(PIPE_BYTES);
+                    let gone = |_| io::Error::new(io::ErrorKind::ConnectionRefused, "the coordinator is gone");
+                    pipes.send(far).await.map_err(gone)?;
+                    Ok::<_, io::Error>(TokioIo::new(near))
+                }
+            });
+            tuned(Endpoint::from_static("http://in-memory")).connect_with_connector(connect).await
+        })
+    })
+}
+
+/// Reports progress until the job has ended.
+async fn follow(
+    driver: &Handle,
+    job: JobId,
+    mut progress: impl FnMut(&JobProgress) + Send,
+) -> Result<JobProgress, RenderError> {
+    let gone = || RenderError::Failed("the in-process coordinator is gone".into());
+    let mut watched = driver.watch(job).await.ok_or_else(gone)?;
+    loop {
+        let snapshot = watched.borrow_and_update().clone();
+        progress(&snapshot);
+        if snapshot.state.is_final() {
+            return Ok(snapshot);
+        }
+        // Fresh snapshots that come sooner are seen together; the last one is not waited for.
+        let pause = tokio::time::sleep(PROGRESS_INTERVAL);
+        let ended = watched.wait_for(|p| p.state.is_final());
+        tokio::select! {
+            ended = ended => drop(ended.map_err(|_| gone())?),
+            () = pause => {}
+        }
+    }
 }

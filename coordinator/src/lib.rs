@@ -7,12 +7,21 @@
 //!
 //! What they report is in [`types`].
 
+mod assemble;
 pub mod cli;
 pub mod client;
+pub mod compute;
+pub mod driver;
 pub mod embedded;
+mod intake;
+mod manifest;
+mod merge;
+mod random;
 pub mod report;
 pub mod schedule;
 pub mod server;
+mod service;
+pub mod store;
 pub mod types;
 
 pub use server::{ServeConfig, serve};

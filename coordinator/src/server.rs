@@ -1,8 +1,22 @@
 //! A coordinator that listens for workers and clients.
 
+use crate::compute::Compute;
+use crate::driver::{Driver, DriverConfig, KeepImage};
+use crate::schedule::Policy;
+use crate::service::{self, Context};
+use crate::store::Store;
+use gatherlight_proto::limits::HEARTBEAT;
 use std::future::Future;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tonic::transport::server::TcpIncoming;
+
+/// Time open streams have to end once shutdown has begun.
+const SHUTDOWN_GRACE: Duration = Duration::from_secs(2);
 
 /// Where and how a coordinator runs; cannot change an image.
 #[derive(Clone, Debug)]
@@ -17,12 +31,14 @@ pub struct ServeConfig {
     pub max_store_bytes: u64,
     /// Most jobs that are not yet finished.
     pub max_live_jobs: usize,
+    /// The scheduler's constants.
+    pub policy: Policy,
 }
 
 impl ServeConfig {
     /// Defaults beside the two that have none.
     pub fn new(listen: SocketAddr, store: PathBuf) -> Self {
-        ServeConfig { listen, store, threads: 0, max_store_bytes: 64 << 30, max_live_jobs: 64 }
+        ServeConfig { listen, store, threads: 0, max_store_bytes: 64 << 30, max_live_jobs: 64, policy: Policy::default() }
     }
 }
 
@@ -56,28 +72,59 @@ pub enum ServeError {
 /// A coordinator bound to its address, not yet serving.
 #[derive(Debug)]
 pub struct Server {
+    listener: TcpListener,
     address: SocketAddr,
+    context: Context,
 }
 
 impl Server {
-    /// Opens the store and binds the address.
+    /// Opens the store, binds the address and starts the driver.
     ///
     /// # Errors
-    /// When either cannot be had.
+    /// When store, address or threads cannot be had.
     pub async fn bind(config: ServeConfig) -> Result<Self, ServeError> {
-        Ok(Server { address: config.listen })
+        let store_error = |source| ServeError::Store { path: config.store.clone(), source };
+        let store = Store::open(&config.store, config.max_store_bytes).map_err(store_error)?;
+        let compute = Compute::new(config.threads).map_err(ServeError::Start)?;
+        let listen_error = |source| ServeError::Listen { address: config.listen, source };
+        let listener = TcpListener::bind(config.listen).await.map_err(listen_error)?;
+        let address = listener.local_addr().map_err(listen_error)?;
+        let store = Arc::new(store);
+        let driver_config = DriverConfig {
+            policy: config.policy.clone(),
+            max_live_jobs: config.max_live_jobs,
+            keep: KeepImage::Exr,
+            heartbeat: HEARTBEAT,
+        };
+        let driver = Driver::start(driver_config, compute.clone(), store.clone());
+        Ok(Server { listener, address, context: Context { driver, compute, store } })
     }
     /// The bound address, with the true port.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
-    /// Serves until `shutdown` is ready, then lets open streams end.
+    /// Serves until `shutdown` is ready, then gives open streams a moment to end.
     ///
     /// # Errors
     /// When the transport fails.
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
-        shutdown.await;
-        Ok(())
+        tracing::info!(address = %self.address, "listening");
+        let (begun, begins) = oneshot::channel();
+        let shutdown = async move {
+            shutdown.await;
+            drop(begun);
+        };
+        let incoming = TcpIncoming::from(self.listener).with_nodelay(Some(true));
+        let serving = service::router(self.context).await.serve_with_incoming_shutdown(incoming, shutdown);
+        // Workers keep their sessions open for ever: after the grace they are cut, and join whoever comes next.
+        let grace = async {
+            drop::<Result<(), _>>(begins.await);
+            tokio::time::sleep(SHUTDOWN_GRACE).await;
+        };
+        tokio::select! {
+            served = serving => served.map_err(|e| ServeError::Transport(e.to_string())),
+            () = grace => Ok(()),
+        }
     }
 }
 

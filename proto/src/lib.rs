@@ -8,6 +8,7 @@
 #![deny(unsafe_code)]
 
 pub mod chunk;
+pub mod connect;
 pub mod convert;
 pub mod digest;
 pub mod error;

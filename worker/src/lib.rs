@@ -1,1 +1,21 @@
-//! placeholder
+//! A Gatherlight worker: joins a coordinator, computes what it is leased, returns the results.
+//!
+//! - [`session`]: what a worker does, as a pure state machine;
+//! - [`client`]: the connection: joining, heartbeats, fetching, delivering, coming back;
+//! - [`executor`]: the compute threads, apart from the async ones, so that heartbeats flow while a tile renders;
+//! - [`emission`] and [`gather`]: a lease's indices → a payload;
+//! - [`cache`]: scenes and maps of the present jobs, and scene files by digest.
+#![deny(unsafe_code)]
+
+pub mod cache;
+pub mod client;
+pub mod config;
+pub mod emission;
+pub mod error;
+pub mod executor;
+pub mod gather;
+pub mod session;
+
+pub use client::{Connector, run};
+pub use config::{Faults, WorkerConfig};
+pub use error::WorkerError;

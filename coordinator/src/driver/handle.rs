@@ -1,0 +1,240 @@
+//! How the rest of the coordinator speaks to the driver.
+
+use super::job::Spec;
+use crate::types::{JobId, JobProgress, WorkerInfo};
+use bytes::Bytes;
+use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Hello, LeaseId, MapRef, Task, ToWorker, WorkerId};
+use gatherlight_proto::Digest;
+use gatherlight_render::film::{Film, Tile, TileGrid};
+use gatherlight_render::photon::{EmissionRange, PhotonBatch};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::time::Duration;
+use tokio::sync::{mpsc, oneshot, watch};
+
+/// Inputs waiting for the driver before senders wait.
+const QUEUE: usize = 256;
+
+/// Answer to an input.
+pub(crate) type Reply<T> = oneshot::Sender<T>;
+
+/// Everything that reaches the driver.
+#[derive(Debug)]
+pub(crate) enum Input {
+    Submit(Box<Spec>, Reply<Result<JobId, SubmitError>>),
+    Find([u8; 16], Reply<Option<JobId>>),
+    List(Reply<Vec<JobProgress>>),
+    Watch(JobId, Reply<Option<watch::Receiver<JobProgress>>>),
+    Cancel(JobId, Reply<Option<JobProgress>>),
+    Image(JobId, Reply<Result<BlobRef, NoImage>>),
+    Film(JobId, Reply<Option<Film>>),
+    Workers(Reply<Vec<WorkerInfo>>),
+    Join(Hello, Reply<Joined>),
+    Message(WorkerId, FromWorker),
+    Left(WorkerId),
+    Offer(DeliverHeader, Reply<Option<Ticket>>),
+    Refuse(Ticket, String),
+    Complete(Box<Delivery>, Reply<bool>),
+    Source(u64, Digest, Reply<Option<Source>>),
+    MapBuilt(JobId, Result<BuiltMap, String>),
+    Assembled(JobId, Result<Image, String>),
+}
+
+/// Why a job was not taken.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SubmitError {
+    /// Too many unfinished jobs.
+    #[error("{0} jobs are waiting or running, the limit of this coordinator; wait or raise its --max-jobs")]
+    Full(usize),
+    /// The coordinator is shutting down.
+    #[error("the coordinator is shutting down")]
+    Closed,
+}
+
+/// Why there is no image to fetch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NoImage {
+    /// No such job.
+    NoJob,
+    /// The job is not done; its state's name.
+    NotDone(&'static str),
+}
+
+/// A worker was taken in.
+#[derive(Debug)]
+pub struct Joined {
+    /// Its number.
+    pub worker: WorkerId,
+    /// Messages for it; ends when it is dismissed.
+    pub messages: mpsc::Receiver<ToWorker>,
+    /// Ready when it is dismissed.
+    pub dismissed: oneshot::Receiver<()>,
+}
+
+/// Permission to deliver a result, and what is needed to read it.
+#[derive(Clone, Debug)]
+pub struct Ticket {
+    /// Who delivers.
+    pub worker: WorkerId,
+    /// The lease.
+    pub lease: LeaseId,
+    /// Its attempt.
+    pub attempt: u32,
+    /// The indices the worker says it computed.
+    pub range: EmissionRange,
+    /// Time the worker says it computed.
+    pub busy: Duration,
+    /// What was to be done.
+    pub task: Task,
+    /// How the image is cut.
+    pub grid: TileGrid,
+    /// Floats per pixel.
+    pub channels: usize,
+    /// Whether the photons carry directions.
+    pub directions: bool,
+}
+
+/// A decoded result.
+#[derive(Debug)]
+pub enum Payload {
+    /// Of an emission lease.
+    Photons(PhotonBatch),
+    /// Of a gather lease.
+    Tiles(Vec<Tile>),
+}
+
+/// A result that arrived whole.
+#[derive(Debug)]
+pub struct Delivery {
+    /// What it is for.
+    pub ticket: Ticket,
+    /// What it holds.
+    pub payload: Payload,
+    /// Its size on the wire.
+    pub bytes: u64,
+}
+
+/// Where the bytes of a digest come from.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// The store has it.
+    Blob(Digest),
+    /// A photon map in memory; add to the counter what is sent of it.
+    Map {
+        /// All of it, shared.
+        bytes: Bytes,
+        /// Bytes sent so far.
+        sent: Arc<AtomicU64>,
+    },
+}
+
+/// A map ready for broadcast.
+#[derive(Debug)]
+pub(crate) struct BuiltMap {
+    pub(crate) map: MapRef,
+    pub(crate) bytes: Bytes,
+    pub(crate) stored_count: u64,
+}
+
+/// A finished image.
+#[derive(Debug)]
+pub(crate) enum Image {
+    /// Kept as it is, for the caller in this process.
+    Film(Film),
+    /// An EXR file in the store.
+    Stored(BlobRef),
+}
+
+/// The driver's address. Clones share it; when the last is gone, the driver ends.
+#[derive(Clone, Debug)]
+pub struct Handle {
+    inputs: mpsc::Sender<Input>,
+}
+
+impl Handle {
+    pub(crate) fn channel() -> (Handle, mpsc::Receiver<Input>) {
+        let (inputs, receiver) = mpsc::channel(QUEUE);
+        (Handle { inputs }, receiver)
+    }
+    async fn ask<T>(&self, input: impl FnOnce(Reply<T>) -> Input) -> Option<T> {
+        let (reply, answer) = oneshot::channel();
+        self.inputs.send(input(reply)).await.ok()?;
+        answer.await.ok()
+    }
+    /// Starts a job.
+    ///
+    /// # Errors
+    /// When there are too many.
+    pub async fn submit(&self, spec: Spec) -> Result<JobId, SubmitError> {
+        self.ask(|reply| Input::Submit(Box::new(spec), reply)).await.unwrap_or(Err(SubmitError::Closed))
+    }
+    /// The job that was submitted with this key.
+    pub async fn find(&self, request_key: [u8; 16]) -> Option<JobId> {
+        self.ask(|reply| Input::Find(request_key, reply)).await.flatten()
+    }
+    /// All jobs, oldest first.
+    pub async fn list(&self) -> Vec<JobProgress> {
+        self.ask(Input::List).await.unwrap_or_default()
+    }
+    /// A job's latest snapshot, now and later.
+    pub async fn watch(&self, job: JobId) -> Option<watch::Receiver<JobProgress>> {
+        self.ask(|reply| Input::Watch(job, reply)).await.flatten()
+    }
+    /// Cancels a job; its snapshot afterwards.
+    pub async fn cancel(&self, job: JobId) -> Option<JobProgress> {
+        self.ask(|reply| Input::Cancel(job, reply)).await.flatten()
+    }
+    /// Where a job's finished image is.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub async fn image(&self, job: JobId) -> Result<BlobRef, NoImage> {
+        self.ask(|reply| Input::Image(job, reply)).await.unwrap_or(Err(NoImage::NoJob))
+    }
+    /// Takes a job's film out, where films are kept.
+    pub async fn film(&self, job: JobId) -> Option<Film> {
+        self.ask(|reply| Input::Film(job, reply)).await.flatten()
+    }
+    /// The workers.
+    pub async fn workers(&self) -> Vec<WorkerInfo> {
+        self.ask(Input::Workers).await.unwrap_or_default()
+    }
+    /// Takes in a worker.
+    pub async fn join(&self, hello: Hello) -> Option<Joined> {
+        self.ask(|reply| Input::Join(hello, reply)).await
+    }
+    /// Passes on what a worker said.
+    pub async fn message(&self, worker: WorkerId, message: FromWorker) {
+        drop(self.inputs.send(Input::Message(worker, message)).await);
+    }
+    /// A worker's session ended.
+    pub async fn left(&self, worker: WorkerId) {
+        drop(self.inputs.send(Input::Left(worker)).await);
+    }
+    /// Whether this result is wanted. Asked before any of it is read.
+    pub async fn offer(&self, header: DeliverHeader) -> Option<Ticket> {
+        self.ask(|reply| Input::Offer(header, reply)).await.flatten()
+    }
+    /// A result was damaged or senseless.
+    pub async fn refuse(&self, ticket: Ticket, error: String) {
+        drop(self.inputs.send(Input::Refuse(ticket, error)).await);
+    }
+    /// Hands in a result; returns whether it counts.
+    pub async fn complete(&self, delivery: Delivery) -> bool {
+        self.ask(|reply| Input::Complete(Box::new(delivery), reply)).await.unwrap_or(false)
+    }
+    /// Where a worker's session may read this digest.
+    pub async fn source(&self, session: u64, digest: Digest) -> Option<Source> {
+        self.ask(|reply| Input::Source(session, digest, reply)).await.flatten()
+    }
+    /// For compute threads: reports a result, waiting if the driver is busy.
+    pub(crate) fn report(&self, input: Input) {
+        drop(self.inputs.blocking_send(input));
+    }
+    pub(crate) fn downgrade(&self) -> mpsc::WeakSender<Input> {
+        self.inputs.downgrade()
+    }
+    pub(crate) fn upgrade(weak: &mpsc::WeakSender<Input>) -> Option<Handle> {
+        weak.upgrade().map(|inputs| Handle { inputs })
+    }
+}

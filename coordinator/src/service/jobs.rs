@@ -1,0 +1,181 @@
+//! What clients call.
+
+use super::{Context, ReplyStream, stored_chunks};
+use crate::driver::{NoImage, SubmitError};
+use crate::intake::{self, IntakeError, Submission};
+use crate::store::StoreError;
+use crate::types::{JobId, JobProgress};
+use gatherlight_proto::error::truncated;
+use gatherlight_proto::limits::{MAX_EXTERNALS, MAX_NAME_BYTES, PROTOCOL_VERSION};
+use gatherlight_proto::message::{BlobRef, SceneManifest};
+use gatherlight_proto::wire::jobs_server::Jobs;
+use gatherlight_proto::wire::{self, Chunk};
+use gatherlight_proto::WireError;
+use gatherlight_render::settings::RenderSettings;
+use std::time::Duration;
+use tokio::sync::{Semaphore, mpsc, watch};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+/// Least time between two snapshots of one watcher.
+const WATCH_INTERVAL: Duration = Duration::from_millis(100);
+/// Submissions that load and prepare their scenes at once.
+const MAX_INTAKES: usize = 2;
+/// Time an upload has to send its next chunk.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+pub(super) struct JobsService {
+    context: Context,
+    intakes: Semaphore,
+}
+
+impl JobsService {
+    pub(super) fn new(context: Context) -> Self {
+        JobsService { context, intakes: Semaphore::new(MAX_INTAKES) }
+    }
+    async fn watched(&self, job: u64) -> Result<watch::Receiver<JobProgress>, Status> {
+        self.context.driver.watch(JobId(job)).await.ok_or_else(|| no_job(job))
+    }
+}
+
+fn no_job(job: u64) -> Status {
+    Status::not_found(format!("there is no job {} on this coordinator", JobId(job)))
+}
+
+impl From<StoreError> for Status {
+    fn from(e: StoreError) -> Self {
+        match e {
+            StoreError::Wire(e) => e.into(),
+            StoreError::Full { .. } => Status::resource_exhausted(e.to_string()),
+            StoreError::Io(_) => Status::internal(e.to_string()),
+        }
+    }
+}
+
+impl From<IntakeError> for Status {
+    fn from(e: IntakeError) -> Self {
+        let text = e.to_string();
+        match e {
+            IntakeError::Job(_) => Status::invalid_argument(text),
+            IntakeError::Blob(_) => Status::failed_precondition(text),
+            IntakeError::Driver(SubmitError::Full(_)) => Status::resource_exhausted(text),
+            IntakeError::Driver(SubmitError::Closed) => Status::unavailable(text),
+            IntakeError::Internal(_) => Status::internal(text),
+        }
+    }
+}
+
+#[tonic::async_trait]
+impl Jobs for JobsService {
+    type WatchStream = ReplyStream<wire::Job>;
+    type FetchImageStream = ReplyStream<Chunk>;
+
+    async fn greet(&self, _: Request<wire::GreetRequest>) -> Result<Response<wire::GreetReply>, Status> {
+        let version = gatherlight_render::VERSION.to_owned();
+        Ok(Response::new(wire::GreetReply { protocol: PROTOCOL_VERSION, version }))
+    }
+
+    async fn missing(&self, request: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
+        let asked = request.into_inner().blobs;
+        WireError::check_limit("blobs asked for", asked.len() as u64, MAX_EXTERNALS as u64 + 1, "MAX_EXTERNALS")?;
+        let blobs = asked.into_iter().map(BlobRef::try_from).collect::<Result<Vec<_>, _>>()?;
+        let missing = blobs.iter().filter(|b| !self.context.store.contains(b.digest));
+        Ok(Response::new(wire::MissingReply { digests: missing.map(|b| b.digest.to_bytes()).collect() }))
+    }
+
+    async fn upload(&self, request: Request<Streaming<Chunk>>) -> Result<Response<wire::UploadReply>, Status> {
+        let mut inbound = request.into_inner();
+        let mut upload = self.context.store.upload();
+        let next = async |inbound: &mut Streaming<Chunk>| {
+            let waited = tokio::time::timeout(PATIENCE, inbound.message()).await;
+            waited.unwrap_or_else(|_| Err(Status::deadline_exceeded("the next chunk did not come in time")))
+        };
+        while let Some(chunk) = next(&mut inbound).await? {
+            let pushed = tokio::task::spawn_blocking(move || upload.push(&chunk).map(|()| upload)).await;
+            upload = pushed.map_err(|e| Status::internal(e.to_string()))??;
+        }
+        let finished = tokio::task::spawn_blocking(move || upload.finish()).await;
+        finished.map_err(|e| Status::internal(e.to_string()))??;
+        Ok(Response::new(wire::UploadReply {}))
+    }
+
+    async fn submit(&self, request: Request<wire::SubmitRequest>) -> Result<Response<wire::SubmitReply>, Status> {
+        let request = request.into_inner();
+        let submission = Submission {
+            name: truncated(&request.name, MAX_NAME_BYTES).to_owned(),
+            request_key: request.request_key[..]
+                .try_into()
+                .map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?,
+            manifest: SceneManifest::try_from(request.scene.ok_or(WireError::Missing("scene"))?)?,
+            settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
+        };
+        let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
+        let Context { driver, compute, store } = &self.context;
+        let job = intake::submit(driver, compute, store, submission).await?;
+        Ok(Response::new(wire::SubmitReply { job: job.0 }))
+    }
+
+    async fn list(&self, _: Request<wire::ListRequest>) -> Result<Response<wire::ListReply>, Status> {
+        let jobs = self.context.driver.list().await;
+        Ok(Response::new(wire::ListReply { jobs: jobs.iter().map(Into::into).collect() }))
+    }
+
+    async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<wire::Job>, Status> {
+        let watched = self.watched(request.into_inner().job).await?;
+        let job = wire::Job::from(&*watched.borrow());
+        Ok(Response::new(job))
+    }
+
+    async fn watch(&self, request: Request<wire::WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
+        let watched = self.watched(request.into_inner().job).await?;
+        let (sender, receiver) = mpsc::channel(1);
+        tokio::spawn(forward(watched, sender));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+    }
+
+    async fn fetch_image(
+        &self,
+        request: Request<wire::FetchImageRequest>,
+    ) -> Result<Response<Self::FetchImageStream>, Status> {
+        let job = request.into_inner().job;
+        let image = self.context.driver.image(JobId(job)).await.map_err(|e| match e {
+            NoImage::NoJob => no_job(job),
+            NoImage::NotDone(state) => {
+                let text = format!("job {} has no image: its state is {state}", JobId(job));
+                Status::failed_precondition(text)
+            }
+        })?;
+        Ok(Response::new(stored_chunks(self.context.store.clone(), image.digest)?))
+    }
+
+    async fn cancel(&self, request: Request<wire::CancelRequest>) -> Result<Response<wire::Job>, Status> {
+        let job = request.into_inner().job;
+        let progress = self.context.driver.cancel(JobId(job)).await.ok_or_else(|| no_job(job))?;
+        Ok(Response::new((&progress).into()))
+    }
+
+    async fn workers(&self, _: Request<wire::WorkersRequest>) -> Result<Response<wire::WorkersReply>, Status> {
+        let workers = self.context.driver.workers().await;
+        Ok(Response::new(wire::WorkersReply { workers: workers.iter().map(Into::into).collect() }))
+    }
+}
+
+/// Sends snapshots as they change, not more often than [`WATCH_INTERVAL`], up to and with the final one.
+async fn forward(mut watched: watch::Receiver<JobProgress>, sender: mpsc::Sender<Result<wire::Job, Status>>) {
+    loop {
+        let (job, last) = {
+            let progress = watched.borrow_and_update();
+            (wire::Job::from(&*progress), progress.state.is_final())
+        };
+        if sender.send(Ok(job)).await.is_err() || last {
+            return;
+        }
+        tokio::select! {
+            () = tokio::time::sleep(WATCH_INTERVAL) => {}
+            () = sender.closed() => return,
+        }
+        if watched.changed().await.is_err() {
+            return;
+        }
+    }
+}
