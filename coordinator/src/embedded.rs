@@ -96,12 +96,8 @@ async fn rendered(
 ) -> Result<JobResult, RenderError> {
     let compute = Compute::new(config.threads).map_err(RenderError::Start)?;
     let store = Arc::new(Store::memory());
-    let driver_config = DriverConfig {
-        policy: config.policy.clone(),
-        max_live_jobs: 1,
-        keep: KeepImage::Film,
-        heartbeat: HEARTBEAT,
-    };
+    let driver_config =
+        DriverConfig { policy: config.policy.clone(), max_live_jobs: 1, keep: KeepImage::Film, heartbeat: HEARTBEAT };
     let driver = Driver::start(driver_config, compute.clone(), store.clone());
     let job = submit(&driver, &compute, &store, bundle, settings).await?;
     let context = Context { driver: driver.clone(), compute, store };

@@ -12,20 +12,20 @@ use std::sync::Arc;
 
 /// What a client wants.
 #[derive(Clone, Debug)]
-pub struct Submission {
+pub(crate) struct Submission {
     /// Name for listings.
-    pub name: String,
+    pub(crate) name: String,
     /// Makes a repeated submission the same job.
-    pub request_key: [u8; 16],
+    pub(crate) request_key: [u8; 16],
     /// The scene's files, all in the store.
-    pub manifest: SceneManifest,
+    pub(crate) manifest: SceneManifest,
     /// What determines the image.
-    pub settings: RenderSettings,
+    pub(crate) settings: RenderSettings,
 }
 
 /// Why a submission did not become a job.
 #[derive(Debug, thiserror::Error)]
-pub enum IntakeError {
+pub(crate) enum IntakeError {
     /// Scene or settings are at fault.
     #[error(transparent)]
     Job(#[from] JobError),

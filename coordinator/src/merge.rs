@@ -22,7 +22,10 @@ pub(crate) fn build(kind: MapKind, merger: Merger, prepared: &PreparedJob) -> Re
     drop(map);
     let bytes = encoded.len() as u64;
     if bytes > MAX_MAP_BYTES {
-        return Err(format!("the {} map has {bytes} bytes, over {MAX_MAP_BYTES} (MAX_MAP_BYTES): emit fewer photons", kind.name()));
+        return Err(format!(
+            "the {} map has {bytes} bytes, over {MAX_MAP_BYTES} (MAX_MAP_BYTES): emit fewer photons",
+            kind.name()
+        ));
     }
     Ok(BuiltMap { map: MapRef { kind, digest: Digest::of(&encoded), bytes }, bytes: encoded, stored_count })
 }

@@ -38,7 +38,14 @@ pub struct ServeConfig {
 impl ServeConfig {
     /// Defaults beside the two that have none.
     pub fn new(listen: SocketAddr, store: PathBuf) -> Self {
-        ServeConfig { listen, store, threads: 0, max_store_bytes: 64 << 30, max_live_jobs: 64, policy: Policy::default() }
+        ServeConfig {
+            listen,
+            store,
+            threads: 0,
+            max_store_bytes: 64 << 30,
+            max_live_jobs: 64,
+            policy: Policy::default(),
+        }
     }
 }
 

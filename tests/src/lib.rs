@@ -21,3 +21,20 @@ pub fn pixel_sha256(exr: &[u8]) -> String {
     }
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
+
+/// SHA-256 over the bits of every float of a film, in film order.
+pub fn film_sha256(film: &gatherlight_render::film::Film) -> String {
+    let mut hash = Sha256::new();
+    film.pixels.iter().for_each(|v| hash.update(v.to_bits().to_le_bytes()));
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A scene of the repository's `scenes/`.
+///
+/// # Panics
+/// When it cannot be read.
+pub fn scene(name: &str) -> gatherlight_render::import::SceneBundle {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes").join(name);
+    let root = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    gatherlight_render::import::SceneBundle { name: name.into(), root: root.into(), externals: Vec::new() }
+}

@@ -57,7 +57,9 @@ pub enum TaskError {
     #[error(transparent)]
     Job(#[from] gatherlight_render::job::JobError),
     /// A map does not fit into this worker's memory.
-    #[error("the {map} map of {bytes} bytes does not fit into this worker's {limit} bytes; give it more --memory or emit fewer photons")]
+    #[error(
+        "the {map} map of {bytes} bytes does not fit into this worker's {limit} bytes; give it more --memory or emit fewer photons"
+    )]
     Memory {
         /// Its name.
         map: &'static str,
@@ -76,5 +78,8 @@ pub enum TaskError {
 
 /// Whether the coordinator's answer will stay the same however often it is asked.
 pub(crate) fn is_final(status: &Status) -> bool {
-    matches!(status.code(), Code::FailedPrecondition | Code::InvalidArgument | Code::Unauthenticated | Code::Unimplemented)
+    matches!(
+        status.code(),
+        Code::FailedPrecondition | Code::InvalidArgument | Code::Unauthenticated | Code::Unimplemented
+    )
 }

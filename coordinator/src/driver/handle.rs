@@ -3,8 +3,10 @@
 use super::job::Spec;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
-use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Hello, LeaseId, MapRef, Task, ToWorker, WorkerId};
 use gatherlight_proto::Digest;
+use gatherlight_proto::message::{
+    BlobRef, DeliverHeader, FromWorker, Hello, LeaseId, MapRef, Task, ToWorker, WorkerId,
+};
 use gatherlight_render::film::{Film, Tile, TileGrid};
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
 use std::sync::Arc;

@@ -153,8 +153,7 @@ impl JobRecord {
                 m.stored_count = e.work.stored;
             }
         }
-        let holders: BTreeSet<_> =
-            scheduler.leases().filter(|l| l.lease.job == self.id).map(|l| l.worker).collect();
+        let holders: BTreeSet<_> = scheduler.leases().filter(|l| l.lease.job == self.id).map(|l| l.worker).collect();
         let (state, units) = self.visible_state(job, holders.len() as u64);
         self.publish(now, state, units, holders.len() as u32);
     }

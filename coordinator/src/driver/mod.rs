@@ -115,7 +115,8 @@ impl Driver {
         match input {
             Input::Submit(spec, reply) => drop(reply.send(self.submit(*spec))),
             Input::Find(key, reply) => {
-                drop(reply.send(self.jobs.values().find(|j| j.request_key == key).map(|j| j.id)));
+                let found = self.jobs.values().find(|j| j.request_key == key).map(|j| j.id);
+                let _ = reply.send(found);
             }
             Input::List(reply) => {
                 let jobs = self.order.iter().filter_map(|id| self.jobs.get(id)).map(JobRecord::progress).collect();

@@ -73,7 +73,8 @@ impl Scheduler {
     fn may_retry(&self, job: JobId, worker: WorkerId, retry: &Retry) -> bool {
         let failed_by = |id: WorkerId| retry.history.failures.iter().any(|&(w, _)| w == id);
         let limit = self.policy.set_aside_after;
-        let could = |(&id, w): (&WorkerId, &super::Worker)| !w.draining && !w.is_set_aside(job, limit) && !failed_by(id);
+        let could =
+            |(&id, w): (&WorkerId, &super::Worker)| !w.draining && !w.is_set_aside(job, limit) && !failed_by(id);
         !failed_by(worker) || !self.workers.iter().any(could)
     }
 

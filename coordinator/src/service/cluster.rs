@@ -56,9 +56,9 @@ impl Cluster for ClusterService {
         let stream = match source {
             None => return Err(Status::not_found(format!("{digest} belongs to no running job of this session"))),
             Some(Source::Blob(digest)) => stored_chunks(self.context.store.clone(), digest)?,
-            Some(Source::Map { bytes, sent }) => {
-                memory_chunks(bytes, digest, move |n| drop(sent.fetch_add(n, Ordering::Relaxed)))
-            }
+            Some(Source::Map { bytes, sent }) => memory_chunks(bytes, digest, move |n| {
+                sent.fetch_add(n, Ordering::Relaxed);
+            }),
         };
         Ok(Response::new(stream))
     }
@@ -97,9 +97,7 @@ impl ClusterService {
         let (ticket, length) = (ticket.clone(), bytes.len() as u64);
         let decode = move || {
             let payload = match &ticket.task {
-                Task::Emission(_) => {
-                    Payload::Photons(photons::decode_batch(&bytes, ticket.range, ticket.directions)?)
-                }
+                Task::Emission(_) => Payload::Photons(photons::decode_batch(&bytes, ticket.range, ticket.directions)?),
                 Task::Gather(_) => Payload::Tiles(tiles::decode(&bytes, ticket.range, ticket.grid, ticket.channels)?),
             };
             Ok::<_, WireError>(Delivery { ticket, payload, bytes: length })

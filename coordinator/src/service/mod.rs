@@ -7,13 +7,13 @@ use crate::compute::Compute;
 use crate::driver::Handle;
 use crate::store::Store;
 use bytes::Bytes;
+use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::{chunk, chunks};
 use gatherlight_proto::limits::{CONNECTION_WINDOW_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES};
 use gatherlight_proto::version;
 use gatherlight_proto::wire::Chunk;
 use gatherlight_proto::wire::cluster_server::ClusterServer;
 use gatherlight_proto::wire::jobs_server::JobsServer;
-use gatherlight_proto::Digest;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -53,8 +53,8 @@ fn check_client(request: Request<()>) -> Result<Request<()>, Status> {
 
 /// Both services and the standard health service, ready to be served.
 pub(crate) async fn router(context: Context) -> Router {
-    let cluster = ClusterServer::new(cluster::ClusterService::new(context.clone()))
-        .max_decoding_message_size(MAX_MESSAGE_BYTES);
+    let cluster =
+        ClusterServer::new(cluster::ClusterService::new(context.clone())).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let jobs = JobsServer::new(jobs::JobsService::new(context)).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<ClusterServer<cluster::ClusterService>>().await;

@@ -181,9 +181,7 @@ impl Life {
     }
 }
 
-fn received(
-    message: Result<Option<gatherlight_proto::wire::CoordinatorMessage>, Status>,
-) -> Result<ToWorker, Ended> {
+fn received(message: Result<Option<gatherlight_proto::wire::CoordinatorMessage>, Status>) -> Result<ToWorker, Ended> {
     match message {
         Ok(Some(message)) => ToWorker::try_from(message).map_err(|e| Ended::Broken(e.to_string())),
         Ok(None) => Err(Ended::Broken("the coordinator ended the session".into())),
