@@ -2,6 +2,7 @@
 
 pub mod chi_square;
 pub mod fixtures;
+pub mod scenes;
 pub mod single;
 
 use gatherlight_render::export::decode;

@@ -3,7 +3,7 @@
 use super::buffer::{Buffers, View};
 use super::document::{Document, Warnings};
 use super::json::{Item, Result, quoted};
-use super::limits::{MAX_DEFLATE_RATIO, MAX_IMAGE_PIXELS, MAX_TOTAL_PIXELS};
+use super::limits::{MAX_DEFLATE_RATIO, MAX_IMAGE_PIXELS, MAX_JPEG_PIXELS_PER_BYTE, MAX_TOTAL_PIXELS};
 use super::uri;
 use crate::scene::description::ImageDescription;
 use ::image::codecs::png::PngDecoder;
@@ -119,12 +119,8 @@ impl<'b> Decoder<'b> {
         let (width, height) = decoder.dimensions();
         let bits = u64::from(decoder.original_color_type().bits_per_pixel());
         let promised = (u64::from(width) * bits).div_ceil(8).saturating_mul(u64::from(height));
-        if promised > (bytes.len() as u64).saturating_mul(MAX_DEFLATE_RATIO) {
-            return Err(item.error(format!(
-                "the PNG says {width} × {height} pixels, more than its {} bytes can hold: it is damaged",
-                bytes.len()
-            )));
-        }
+        let possible = (bytes.len() as u64).saturating_mul(MAX_DEFLATE_RATIO);
+        plausible(item, "PNG", (width, height), promised <= possible, bytes)?;
         Ok(Decoder::Png(Box::new(decoder)))
     }
 
@@ -132,7 +128,10 @@ impl<'b> Decoder<'b> {
         let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), jpeg_options(false));
         decoder.decode_headers().map_err(|e| damaged(item, "JPEG", e))?;
         let (width, height) = decoder.dimensions().ok_or_else(|| damaged(item, "JPEG", "it has no size"))?;
-        Ok(Decoder::Jpeg { bytes, width: width as u32, height: height as u32 })
+        let (width, height) = (width as u32, height as u32);
+        let possible = (bytes.len() as u64).saturating_mul(MAX_JPEG_PIXELS_PER_BYTE);
+        plausible(item, "JPEG", (width, height), u64::from(width) * u64::from(height) <= possible, bytes)?;
+        Ok(Decoder::Jpeg { bytes, width, height })
     }
 
     fn size(&self) -> (u32, u32) {
@@ -170,6 +169,13 @@ fn jpeg_options(strict: bool) -> DecoderOptions {
         .set_max_width(usize::MAX)
         .set_max_height(usize::MAX)
         .jpeg_set_out_colorspace(ColorSpace::RGBA)
+}
+
+fn plausible(item: &Item, format: &str, (width, height): (u32, u32), fits: bool, bytes: &[u8]) -> Result<()> {
+    let length = bytes.len();
+    let message =
+        format!("the {format} says {width} × {height} pixels, more than its {length} bytes can hold: it is damaged");
+    if fits { Ok(()) } else { Err(item.error(message)) }
 }
 
 fn damaged(item: &Item, format: &str, why: impl std::fmt::Display) -> crate::error::SceneError {

@@ -15,6 +15,8 @@ pub const MAX_IMAGE_PIXELS: u64 = 16_384 * 16_384;
 pub const MAX_TOTAL_PIXELS: u64 = 1 << 29;
 /// A deflate stream unfolds at most this many times; a PNG that claims more is damaged or hostile.
 pub const MAX_DEFLATE_RATIO: u64 = 1032;
+/// Pixels that a byte of a JPEG can hold: a block of 8 × 8 takes at least one bit, however the scans are arranged.
+pub const MAX_JPEG_PIXELS_PER_BYTE: u64 = 512;
 /// Warnings kept; that there are more is said.
 pub const MAX_WARNINGS: usize = 64;
 /// Characters of a name or URI quoted in a message.
