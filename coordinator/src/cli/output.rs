@@ -3,6 +3,8 @@
 use super::error::CliError;
 use clap::Args;
 use gatherlight_render::export::{decode, png};
+use gatherlight_render::film::Film;
+use gatherlight_render::math::Rgb;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -52,24 +54,38 @@ impl OutputArgs {
 }
 
 impl Output {
-    /// Writes the image, and the preview made from it.
+    /// Writes a film that was encoded as `exr`, and its preview.
     ///
     /// # Errors
     /// When a file cannot be written; a file that was there before then stays as it was.
+    pub(super) fn write_film(&self, film: &Film, exr: &[u8]) -> Result<(), CliError> {
+        write_atomically(&self.exr, exr)?;
+        match &self.png {
+            Some(path) => write_preview(path, film.grid.width, film.grid.height, &film.rgb()),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes an encoded image, and the preview made from it.
+    ///
+    /// # Errors
+    /// When it is no image, or a file cannot be written; a file that was there before then stays as it was.
     pub(super) fn write(&self, exr: &[u8]) -> Result<(), CliError> {
         write_atomically(&self.exr, exr)?;
-        if let Some(path) = &self.png {
-            let image = decode(exr)?;
-            let side = |n: usize| u32::try_from(n).map_err(|_| CliError::Failed("the image is too large".into()));
-            write_atomically(path, &png::preview(side(image.width)?, side(image.height)?, &image.rgb()?)?)?;
-        }
-        Ok(())
+        let Some(path) = &self.png else { return Ok(()) };
+        let image = decode(exr)?;
+        let side = |n: usize| u32::try_from(n).map_err(|_| CliError::Failed("the image is too large".into()));
+        write_preview(path, side(image.width)?, side(image.height)?, &image.rgb()?)
     }
 
     /// Names of the files, the EXR first.
     pub(super) fn names(&self) -> Vec<String> {
         std::iter::once(&self.exr).chain(&self.png).map(|p| p.display().to_string()).collect()
     }
+}
+
+fn write_preview(path: &Path, width: u32, height: u32, pixels: &[Rgb]) -> Result<(), CliError> {
+    write_atomically(path, &png::preview(width, height, pixels)?)
 }
 
 fn directory(path: &Path) -> &Path {

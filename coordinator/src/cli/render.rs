@@ -59,7 +59,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let result = result?;
 
     let meta = report::metadata(preflight.digest, &settings, preflight.plan, &result.stats);
-    output.write(&export::encode(&result.film, &meta)?)?;
+    output.write_film(&result.film, &export::encode(&result.film, &meta)?)?;
     let summary = Summary {
         noise: report::noise(&result.film),
         settings,
