@@ -62,6 +62,7 @@ fn a_limit_turns_into_the_exit_code() {
     write(&dir.path().join("a.exr"), 8, 8, |_| [1.1; 3]);
     run(dir.path(), "compare a.exr r.exr --fail-above 0.02").says(0, &[]);
     run(dir.path(), "compare a.exr r.exr --fail-above 0.005").says(1, &["relMSE", "above 0.005"]);
+    run(dir.path(), "compare a.exr r.exr --fail-above nan").says(2, &["--fail-above", "nan"]);
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub(super) struct CompareArgs {
     #[arg(long, value_name = "OUT.png")]
     diff: Option<PathBuf>,
     /// Exit with 1 when relMSE is above this
-    #[arg(long, value_name = "RELMSE")]
+    #[arg(long, value_name = "RELMSE", value_parser = limit)]
     fail_above: Option<f64>,
     /// Print the figures as JSON on stdout
     #[arg(long)]
@@ -67,6 +67,11 @@ pub(super) fn run(args: &CompareArgs) -> CliResult {
         }
         _ => Ok(()),
     }
+}
+
+fn limit(text: &str) -> Result<f64, String> {
+    let valid = text.parse().ok().filter(|v: &f64| *v >= 0.0);
+    valid.ok_or_else(|| format!("{text:?} is no error; write a number from 0 up, such as 0.01"))
 }
 
 fn read(path: &Path) -> Result<Image, CliError> {

@@ -67,7 +67,10 @@ async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, outpu
     };
     let id = tokio::select! {
         id = client.submit(&request, upload) => id?,
-        () = interrupted() => return Err(CliError::Interrupted),
+        () = interrupted() => {
+            eprintln!("\ninterrupted before the coordinator took the job");
+            return Err(CliError::Interrupted);
+        }
     };
     if bars {
         eprintln!("\r\x1b[Kjob {id}");

@@ -33,7 +33,10 @@ pub(super) fn run(args: &WatchArgs) -> CliResult {
     let last = args.connection.run(|client| async move {
         tokio::select! {
             last = follow(&client, args.job, args.messages) => last,
-            () = interrupted() => Err(CliError::Interrupted),
+            () = interrupted() => {
+                eprintln!("\njob {} goes on", args.job);
+                Err(CliError::Interrupted)
+            }
         }
     })?;
     if args.messages.json {
