@@ -108,8 +108,8 @@ async fn rendered(
         JobState::Failed(error) => return Err(RenderError::Failed(error)),
         state => return Err(RenderError::Failed(format!("the job ended as {}", state.name()))),
     }
-    let film = driver.film(job).await.ok_or_else(|| RenderError::Failed("the image is gone".into()))?;
-    Ok(JobResult { film, stats: last.stats, elapsed: last.elapsed })
+    let (film, metadata) = driver.film(job).await.ok_or_else(|| RenderError::Failed("the image is gone".into()))?;
+    Ok(JobResult { film, metadata, stats: last.stats, elapsed: last.elapsed })
 }
 
 async fn submit(

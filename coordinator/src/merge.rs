@@ -18,6 +18,7 @@ pub(crate) fn build(kind: MapKind, merger: Merger, prepared: &PreparedJob) -> Re
     let merged = merger.finish().map_err(|e| e.to_string())?;
     let stored_count = merged.len() as u64;
     let map = prepared.build_map(kind, merged);
+    let gather_radius = prepared.gather_radius(&map);
     let encoded = encode_map(&map);
     drop(map);
     let bytes = encoded.len() as u64;
@@ -27,5 +28,10 @@ pub(crate) fn build(kind: MapKind, merger: Merger, prepared: &PreparedJob) -> Re
             kind.name()
         ));
     }
-    Ok(BuiltMap { map: MapRef { kind, digest: Digest::of(&encoded), bytes }, bytes: encoded, stored_count })
+    Ok(BuiltMap {
+        map: MapRef { kind, digest: Digest::of(&encoded), bytes },
+        bytes: encoded,
+        stored_count,
+        gather_radius,
+    })
 }

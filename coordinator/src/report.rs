@@ -4,37 +4,46 @@ use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
 use gatherlight_render::film::Film;
 use gatherlight_render::job::PreparedJob;
+use gatherlight_render::photon::MapKind;
 use gatherlight_render::plan::{Plan, PlanEntry};
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// The attributes of a finished image: the same wherever the job ran, because nothing in them depends on where or how
-/// fast it did.
-pub fn image_metadata(job: &PreparedJob, stats: &JobStats) -> ImageMetadata {
-    metadata(job.scene_digest().to_string(), job.settings(), plan_lines(job.plan()), stats)
+/// What is known of a job's image before it is finished.
+#[derive(Clone, Debug)]
+pub struct About {
+    scene_digest: String,
+    plan: Vec<String>,
+    /// Largest gather radius of each map that is built, in world units.
+    pub gather_radii: BTreeMap<MapKind, f32>,
 }
 
-/// [`image_metadata`] from what outlives the prepared job.
-pub(crate) fn metadata(
-    scene_digest: String,
-    settings: &RenderSettings,
-    plan: Vec<String>,
-    stats: &JobStats,
-) -> ImageMetadata {
-    let map = |m: &MapStats| MapMetadata {
-        kind: m.kind,
-        emitted_count: m.emitted_count,
-        stored_count: m.stored_count,
-        k: Some(settings.k),
-        max_gather_radius: stats.gather_radius,
-    };
-    ImageMetadata {
-        scene_digest,
-        settings: settings.clone(),
-        maps: stats.maps.iter().map(map).collect(),
-        plan,
-        non_finite: stats.non_finite,
+impl About {
+    /// What `job` says before it starts.
+    pub fn new(job: &PreparedJob) -> Self {
+        let (scene_digest, plan) = (job.scene_digest().to_string(), plan_lines(job.plan()));
+        About { scene_digest, plan, gather_radii: BTreeMap::new() }
+    }
+
+    /// The attributes of the finished image: the same wherever the job ran, because nothing in them depends on where
+    /// or how fast it did.
+    pub fn metadata(&self, settings: &RenderSettings, stats: &JobStats) -> ImageMetadata {
+        let map = |m: &MapStats| MapMetadata {
+            kind: m.kind,
+            emitted_count: m.emitted_count,
+            stored_count: m.stored_count,
+            k: Some(settings.k),
+            max_gather_radius: self.gather_radii.get(&m.kind).copied(),
+        };
+        ImageMetadata {
+            scene_digest: self.scene_digest.clone(),
+            settings: settings.clone(),
+            maps: stats.maps.iter().map(map).collect(),
+            plan: self.plan.clone(),
+            non_finite: stats.non_finite,
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! What clients see of jobs and workers.
 
+use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::Film;
 use std::time::Duration;
 
@@ -10,6 +11,8 @@ pub use gatherlight_proto::types::{JobId, JobProgress, JobState, JobStats, MapSt
 pub struct JobResult {
     /// The image.
     pub film: Film,
+    /// How it was made, for its file.
+    pub metadata: ImageMetadata,
     /// Counts.
     pub stats: JobStats,
     /// Wall time.

@@ -167,6 +167,12 @@ impl PreparedJob {
         PhotonMap::build(kind, merged)
     }
 
+    /// Largest radius `map` is searched with, in world units: given, or chosen from the map's density.
+    pub fn gather_radius(&self, map: &PhotonMap) -> f32 {
+        let chosen = || self.scene.space.length_to_world(map.default_max_radius(self.settings.k)) as f32;
+        self.settings.max_radius.unwrap_or_else(chosen)
+    }
+
     /// Renders tile `index`, on the current thread.
     pub fn gather(&self, maps: &PhotonMaps, index: u32) -> Tile {
         let Some(rect) = self.grid().rect(index) else {

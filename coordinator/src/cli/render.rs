@@ -58,8 +58,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     view.end();
     let result = result?;
 
-    let meta = report::metadata(preflight.digest, &settings, preflight.plan, &result.stats);
-    output.write_film(&result.film, &export::encode(&result.film, &meta)?)?;
+    output.write_film(&result.film, &export::encode(&result.film, &result.metadata)?)?;
     let summary = Summary {
         noise: report::noise(&result.film),
         settings,

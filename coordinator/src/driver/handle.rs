@@ -7,6 +7,7 @@ use gatherlight_proto::Digest;
 use gatherlight_proto::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, LeaseId, MapRef, Task, ToWorker, WorkerId,
 };
+use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::{Film, Tile, TileGrid};
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
 use std::sync::Arc;
@@ -29,7 +30,7 @@ pub(crate) enum Input {
     Watch(JobId, Reply<Option<watch::Receiver<JobProgress>>>),
     Cancel(JobId, Reply<Option<JobProgress>>),
     Image(JobId, Reply<Result<BlobRef, NoImage>>),
-    Film(JobId, Reply<Option<Film>>),
+    Film(JobId, Reply<Option<(Film, ImageMetadata)>>),
     Workers(Reply<Vec<WorkerInfo>>),
     Join(Hello, Reply<Joined>),
     Message(WorkerId, FromWorker),
@@ -136,13 +137,15 @@ pub(crate) struct BuiltMap {
     pub(crate) map: MapRef,
     pub(crate) bytes: Bytes,
     pub(crate) stored_count: u64,
+    /// Largest gather radius the map is searched with, in world units.
+    pub(crate) gather_radius: f32,
 }
 
 /// A finished image.
 #[derive(Debug)]
 pub(crate) enum Image {
     /// Kept as it is, for the caller in this process.
-    Film(Film),
+    Film(Film, ImageMetadata),
     /// An EXR file in the store.
     Stored(BlobRef),
 }
@@ -194,7 +197,7 @@ impl Handle {
         self.ask(|reply| Input::Image(job, reply)).await.unwrap_or(Err(NoImage::NoJob))
     }
     /// Takes a job's film out, where films are kept.
-    pub async fn film(&self, job: JobId) -> Option<Film> {
+    pub async fn film(&self, job: JobId) -> Option<(Film, ImageMetadata)> {
         self.ask(|reply| Input::Film(job, reply)).await.flatten()
     }
     /// The workers.

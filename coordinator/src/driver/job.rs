@@ -1,12 +1,14 @@
 //! What the driver holds for one job.
 
 use super::handle::NoImage;
+use crate::report::About;
 use crate::schedule::job::{Emission, Job, JobStage, MapStage};
 use crate::schedule::{Outcome, Scheduler};
 use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{BlobRef, SceneManifest};
+use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::{ChannelSet, Film, TileGrid};
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -68,7 +70,9 @@ pub(super) struct JobRecord {
     pub(super) live: Option<Live>,
     pub(super) stats: JobStats,
     pub(super) image: Option<BlobRef>,
-    pub(super) kept_film: Option<Film>,
+    pub(super) kept_film: Option<(Film, ImageMetadata)>,
+    /// What its image will say of how it was made.
+    pub(super) about: About,
     submitted: Duration,
     state: JobState,
     state_since: Duration,
@@ -88,6 +92,7 @@ impl JobRecord {
                 maps.push(MapStats { kind, emitted_count: 0, emitted_total: paths, stored_count: 0, bytes: 0 });
             }
         }
+        let about = About::new(&prepared);
         let live = Live {
             mergers,
             film: Some(Film::new(grid.width, grid.height, channels.clone())),
@@ -110,6 +115,7 @@ impl JobRecord {
             stats,
             image: None,
             kept_film: None,
+            about,
             submitted: now,
             state: JobState::Waiting,
             state_since: now,

@@ -359,7 +359,9 @@ impl Driver {
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         };
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let BuiltMap { map, bytes, stored_count } = built;
+        let BuiltMap { map, bytes, stored_count, gather_radius } = built;
+        job.about.gather_radii.insert(map.kind, gather_radius);
+        job.stats.gather_radius = job.about.gather_radii.values().copied().reduce(f32::max);
         if let Some(stats) = job.map_stats(map.kind) {
             (stats.bytes, stats.stored_count) = (map.bytes, stored_count);
         }
@@ -374,7 +376,7 @@ impl Driver {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let Some(live) = job.live.as_mut() else { return };
         let Some(film) = live.film.take() else { return };
-        let metadata = assemble::metadata(&job.manifest, &job.settings, &job.stats);
+        let metadata = job.about.metadata(&job.settings, &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
         self.compute.spawn(move || {
             let image = assemble::finish(film, &metadata, keep, &store);
@@ -388,7 +390,7 @@ impl Driver {
     fn assembled(&mut self, id: JobId, image: Result<Image, String>) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         match image {
-            Ok(Image::Film(film)) => job.kept_film = Some(film),
+            Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, metadata)),
             Ok(Image::Stored(blob)) => job.image = Some(blob),
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         }

@@ -1,0 +1,129 @@
+//! `render` from the scene file to the image file, by the real program.
+
+mod common;
+
+use common::{Triangle, command, run, scene, triangle_dir};
+use gatherlight_render::export::decode;
+use gatherlight_render::film::Image;
+use std::path::Path;
+
+/// Few photons and samples: these tests are about the program, not the picture.
+const QUICK: &str = "--height 16 --samples 2 --photons 2k --caustic-photons 2k";
+
+fn image(path: &Path) -> Image {
+    decode(&std::fs::read(path).unwrap()).unwrap()
+}
+
+fn files(dir: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn an_image_comes_with_its_layers_and_says_how_it_was_made() {
+    let dir = triangle_dir();
+    let run =
+        run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK} --seed 5 --layers samples,normal --json"));
+    run.says(0, &[]);
+    let json = run.json();
+    assert_eq!((&json["files"][0], &json["width"], &json["height"]), (&"x.exr".into(), &32.into(), &16.into()));
+    assert!(json["elapsed_s"].as_f64().unwrap() > 0.0 && json["stats"]["rays"].as_u64().unwrap() > 0, "{json}");
+
+    let image = image(&dir.path().join("x.exr"));
+    assert_eq!((image.width, image.height), (32, 16));
+    let names: Vec<&str> = image.channels.iter().map(|(n, _)| n.as_str()).collect();
+    assert_eq!(names, ["A", "B", "G", "R", "normal.X", "normal.Y", "normal.Z", "samples.V"]);
+    let attribute = |name: &str| image.attributes.get(name).map_or("", String::as_str);
+    assert_eq!((attribute("gatherlight:method"), attribute("gatherlight:seed")), ("photon", "5"));
+    assert_eq!(attribute("gatherlight:global.emitted"), "2000");
+    assert_eq!(attribute("gatherlight:scene_digest").len(), 64);
+    assert!(attribute("gatherlight:plan").contains("global photon map"));
+    assert!(attribute("gatherlight:settings").contains("--seed 5"));
+    // The triangle is lit, and faces the camera.
+    let centre = 8 * 32 + 16;
+    assert!(image.rgb().unwrap()[centre].r > 0.0);
+    assert_eq!(image.channel("normal.Z").unwrap()[centre], 1.0);
+    assert_eq!(image.channel("samples.V").unwrap()[centre], 2.0);
+}
+
+#[test]
+fn the_file_has_the_same_bytes_for_any_number_of_threads_and_every_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let render = |name: &str, threads: u32| {
+        let glb = scene("cornell-diffuse.glb");
+        let args = format!("render {} -o {name} {QUICK} --threads {threads}", glb.display());
+        run(dir.path(), &args).says(0, &[]);
+        std::fs::read(dir.path().join(name)).unwrap()
+    };
+    let first = render("a.exr", 1);
+    assert_eq!(first, render("b.exr", 1));
+    assert_eq!(first, render("c.exr", 2));
+    assert_eq!(first, render("d.exr", 3));
+}
+
+#[test]
+fn a_png_comes_with_its_exr_and_old_files_are_replaced() {
+    let dir = triangle_dir();
+    std::fs::write(dir.path().join("x.exr"), "old").unwrap();
+    let run = run(dir.path(), &format!("render triangle.gltf -o x.png {QUICK}"));
+    run.says(0, &[]);
+    assert!(run.out.contains("x.exr, x.png"), "{run:?}");
+    assert_eq!(files(dir.path()), ["the triangle.bin", "triangle.gltf", "x.exr", "x.png"]);
+    assert_eq!(image(&dir.path().join("x.exr")).width, 32);
+    assert!(std::fs::read(dir.path().join("x.png")).unwrap().starts_with(b"\x89PNG\r\n\x1a\n"));
+}
+
+#[test]
+fn stderr_is_quiet_when_it_is_no_terminal_unless_asked() {
+    let dir = triangle_dir();
+    let quiet = run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK}"));
+    assert_eq!((quiet.code, quiet.err.as_str()), (0, ""));
+    assert!(quiet.out.contains("x.exr: 32 × 16, photon, 2 samples in"), "{quiet:?}");
+    let loud = run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK} --verbose"));
+    loud.says(0, &["computed  global photon map", "left out", "peak memory about", "gather "]);
+}
+
+#[test]
+fn no_light_is_a_black_image_and_a_warning() {
+    let dir = tempfile::tempdir().unwrap();
+    Triangle { light: false, cameras: true }.write(dir.path());
+    run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK}")).says(0, &["warning:", "no light"]);
+    assert!(image(&dir.path().join("x.exr")).rgb().unwrap().iter().all(|p| p.is_black()));
+}
+
+#[test]
+fn no_photons_at_all_is_a_valid_request() {
+    let dir = triangle_dir();
+    let args = "render triangle.gltf -o x.exr --height 16 --samples 1 --photons 0 --caustic-photons 0";
+    run(dir.path(), args).says(0, &[]);
+    assert!(image(&dir.path().join("x.exr")).rgb().unwrap().iter().all(|p| p.is_finite()));
+}
+
+#[test]
+fn noise_is_stated_where_the_layers_carry_it() {
+    let dir = triangle_dir();
+    let args = format!("render triangle.gltf -o x.exr {QUICK} --layers variance,samples");
+    let text = run(dir.path(), &args);
+    assert!(text.out.contains("standard error") && text.out.contains("of the mean"), "{text:?}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_leaves_nothing_half_written() {
+    // The shell's limit on file size stands for the full disk; 512 × 512 pixels do not fit in one block of it.
+    let dir = triangle_dir();
+    std::fs::write(dir.path().join("x.exr"), "old").unwrap();
+    let program = command(dir.path()).get_program().to_owned();
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 1; exec '{}' render triangle.gltf -o x.exr --samples 1 --photons 1k",
+        program.to_string_lossy()
+    );
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", &script]).current_dir(dir.path());
+    let run: common::Run = shell.output().unwrap().into();
+    run.says(1, &["cannot write x.exr"]);
+    assert_eq!(std::fs::read(dir.path().join("x.exr")).unwrap(), b"old");
+    assert_eq!(files(dir.path()), ["the triangle.bin", "triangle.gltf", "x.exr"]);
+}
