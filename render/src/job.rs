@@ -6,7 +6,7 @@
 use crate::error::{SceneError, SettingsError};
 use crate::film::{ChannelSet, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
-use crate::integrator::photon_map::{GatherSettings, PhotonGather};
+use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
 use crate::integrator::{path, tile};
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
@@ -169,8 +169,8 @@ impl PreparedJob {
 
     /// Largest radius `map` is searched with, in world units: given, or chosen from the map's density.
     pub fn gather_radius(&self, map: &PhotonMap) -> f32 {
-        let chosen = || self.scene.space.length_to_world(map.default_max_radius(self.settings.k)) as f32;
-        self.settings.max_radius.unwrap_or_else(chosen)
+        let space = &self.scene.space;
+        space.length_to_world(photon_map::gather_radius(&self.settings, map, space)) as f32
     }
 
     /// Renders tile `index`, on the current thread.

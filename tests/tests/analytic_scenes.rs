@@ -61,8 +61,7 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> (f64, f64)
     light(&mut s);
     // A narrow view of the origin from the side, under the lamp.
     s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
-    let settings =
-        RenderSettings { photons: 20_000, layers: vec![Layer::Variance], ..settings(method, 1, 65_536) };
+    let settings = RenderSettings { photons: 20_000, layers: vec![Layer::Variance], ..settings(method, 1, 65_536) };
     let film = render_description(s.scene, &settings);
     let pixel = film.pixel(0, 0);
     (f64::from(pixel[1]), (f64::from(pixel[5]) / 65_536.0).sqrt())

@@ -3,7 +3,7 @@
 use gatherlight_render::film::Film;
 use gatherlight_render::math::Rgb;
 use gatherlight_render::scene::description::{MaterialDescription, SceneDescription};
-use gatherlight_render::settings::{Layer, Method, RenderSettings};
+use gatherlight_render::settings::{Estimator, Layer, Method, RenderSettings};
 use gatherlight_tests::fixtures::{SceneMaker, cuboid, lamp_in_glass, quad, sphere};
 use gatherlight_tests::single::render_description;
 use glam::{DVec3, Vec3};
@@ -123,4 +123,23 @@ fn layers_hold_the_same_light() {
     for ((layer, a), b) in layers.iter().zip(photon).zip(path) {
         assert!((a / b - 1.0).abs() < 0.02, "{}: photon {a}, path {b}", layer.name());
     }
+}
+
+/// The hash grid with its fixed radius estimates the same light as k nearest neighbours.
+#[test]
+fn hash_grid_and_kd_tree_agree() {
+    let mean = |estimator| {
+        let settings = RenderSettings {
+            estimator,
+            samples: 8,
+            photons: 200_000,
+            caustic_photons: 200_000,
+            final_gather: 2,
+            ..base()
+        };
+        gatherlight_tests::single::mean(&render_description(lamp_in_glass(), &settings))[1]
+    };
+    let (tree, hash) = (mean(Estimator::KdTree), mean(Estimator::Hash));
+    assert!(tree != hash, "the estimator has no effect");
+    assert!((tree / hash - 1.0).abs() < 0.01, "k-d tree {tree}, hash grid {hash}");
 }
