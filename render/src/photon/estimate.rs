@@ -13,9 +13,11 @@
 
 use super::kernel::Kernel;
 use super::map::PhotonMap;
+use super::pack::decode_normal;
 use super::query::{NeighbourBuffer, PhotonSearch};
 use crate::math::Rgb;
 use glam::Vec3;
+use std::cell::Cell;
 
 /// Least cosine between the normals of a query point and of a photon that lie on one surface: 45°, so that walls that
 /// meet at a right angle, or the faces of a thin sheet, do not share photons.
@@ -53,27 +55,68 @@ pub struct Estimate {
 }
 
 /// Tells photons on the surface of one query point from others.
-#[derive(Clone, Copy)]
 struct SameSurface<'a> {
     map: &'a PhotonMap,
     position: Vec3,
     normal: Vec3,
+    /// What follows from the normal met last: neighbours mostly share it.
+    last: Cell<NormalTest>,
 }
 
-impl SameSurface<'_> {
+/// The test of chords to photons of one packed normal.
+#[derive(Clone, Copy)]
+struct NormalTest {
+    /// The packed normal, or [`NO_CODE`].
+    code: u32,
+    /// Sum of the normals of query and photon, n.
+    sum: Vec3,
+    /// Whether the normals agree.
+    agrees: bool,
+    /// Largest (chord · n)² / chord².
+    slope_squared: f32,
+    /// Largest (chord · n)² that is rounding.
+    rounding_squared: f32,
+}
+
+/// No packed normal.
+const NO_CODE: u32 = u32::MAX;
+
+impl NormalTest {
+    const NONE: NormalTest =
+        NormalTest { code: NO_CODE, sum: Vec3::ZERO, agrees: false, slope_squared: 0.0, rounding_squared: 0.0 };
+
+    #[inline]
+    fn new(code: u16, normal: Vec3) -> Self {
+        let photon = decode_normal(code);
+        let cosine = photon.dot(normal);
+        let (code, sum) = (u32::from(code), photon + normal);
+        if cosine < MIN_NORMAL_COSINE || cosine.is_nan() {
+            return NormalTest { code, ..NormalTest::NONE };
+        }
+        // |n|² = 2 + 2 cos θ, and sin² (θ/2) = (1 − cos θ)/2.
+        let slope = CHORD_SLOPE + (0.5 - 0.5 * cosine).max(0.0).sqrt();
+        let length_squared = 2.0 + 2.0 * cosine;
+        let rounding_squared = HEIGHT_ROUNDING * HEIGHT_ROUNDING * length_squared;
+        NormalTest { code, sum, agrees: true, slope_squared: slope * slope * length_squared, rounding_squared }
+    }
+}
+
+impl<'a> SameSurface<'a> {
+    fn new(map: &'a PhotonMap, position: Vec3, normal: Vec3) -> Self {
+        SameSurface { map, position, normal, last: Cell::new(NormalTest::NONE) }
+    }
+
     #[inline(always)]
     fn accepts(&self, index: u32) -> bool {
-        let cosine = self.map.normal(index).dot(self.normal);
-        if cosine < MIN_NORMAL_COSINE || cosine.is_nan() {
-            return false;
+        let code = self.map.packed_normals()[index as usize];
+        let mut test = self.last.get();
+        if test.code != u32::from(code) {
+            test = NormalTest::new(code, self.normal);
+            self.last.set(test);
         }
         let chord = self.map.position(index) - self.position;
-        let sum = self.map.normal(index) + self.normal;
-        // |sum|² = 2 + 2 cos θ, and sin² (θ/2) = (1 − cos θ)/2.
-        let slope = CHORD_SLOPE + (0.5 - 0.5 * cosine).max(0.0).sqrt();
-        let height = chord.dot(sum);
-        let allowed = (slope * slope * chord.length_squared()).max(HEIGHT_ROUNDING * HEIGHT_ROUNDING);
-        height * height <= allowed * (2.0 + 2.0 * cosine)
+        let height = chord.dot(test.sum);
+        test.agrees && height * height <= (test.slope_squared * chord.length_squared()).max(test.rounding_squared)
     }
 }
 
@@ -121,7 +164,7 @@ pub fn irradiance_within(
 
 /// The nearest photon of the surface through `position` with normal `normal`, for looking up cached irradiance.
 pub fn nearest_compatible(map: &PhotonMap, position: Vec3, normal: Vec3, max_radius_squared: f32) -> Option<u32> {
-    let surface = SameSurface { map, position, normal };
+    let surface = SameSurface::new(map, position, normal);
     map.tree().nearest(position.to_array(), max_radius_squared, |i| surface.accepts(i)).map(|n| n.index)
 }
 
@@ -164,7 +207,7 @@ fn estimate(
     if map.has_hash_grid() {
         return fixed(map, position, normal, max_radius_squared, gather.kernel, weight);
     }
-    let surface = SameSurface { map, position, normal };
+    let surface = SameSurface::new(map, position, normal);
     let k = gather.k.max(2) as usize;
     map.tree().k_nearest(position.to_array(), k, max_radius_squared, |i| surface.accepts(i), buffer);
     let (radius_squared, last) = match buffer.farthest() {
@@ -193,7 +236,7 @@ fn fixed(
     kernel: Kernel,
     mut weight: impl FnMut(u32) -> f32,
 ) -> Estimate {
-    let surface = SameSurface { map, position, normal };
+    let surface = SameSurface::new(map, position, normal);
     let mut sum = Sum::default();
     let inverse = 1.0 / radius_squared;
     map.for_each_within(position, radius_squared, |n| {
@@ -229,7 +272,7 @@ pub fn choose_max_radius(map: &PhotonMap, k: u32) -> f32 {
         .step_by(stride)
         .map(|i| {
             let (position, normal) = (map.position(i as u32), map.normal(i as u32));
-            let surface = SameSurface { map, position, normal };
+            let surface = SameSurface::new(map, position, normal);
             map.tree().k_nearest(position.to_array(), k, f32::INFINITY, |i| surface.accepts(i), &mut buffer);
             let farthest = buffer.farthest().map_or(0.0, |n| n.distance_squared.sqrt());
             if buffer.len() == k { farthest } else { farthest.max(SPARSE_RADIUS) }

@@ -171,6 +171,14 @@ fn photons_of_other_surfaces_neither_count_nor_shrink_the_radius() {
 }
 
 #[test]
+fn a_photon_at_the_very_point_on_the_other_side_does_not_count() {
+    let map = map_of([(Vec3::X, -Vec3::Y), (Vec3::X, Vec3::X)], 1);
+    let gather = Gather { k: 2, max_radius_squared: 1.0, kernel: Kernel::Constant };
+    assert_eq!(irradiance(&map, Vec3::X, Vec3::Y, &gather).count, 0);
+    assert_eq!(nearest_compatible(&map, Vec3::X, Vec3::Y, 1.0), None);
+}
+
+#[test]
 fn the_divisor_is_the_emitted_count() {
     let e = |emitted| {
         let map = map_of(poisson_plane(3, 500.0), emitted);
