@@ -1,6 +1,6 @@
 //! A tone-mapped preview as PNG.
 //!
-//! One operator, without settings: exposure puts the 90th percentile of luminance at 0.6, highlights roll off by
+//! One operator, without settings: exposure puts the 90th percentile of luminance at 0.9, highlights roll off by
 //! Reinhard's curve with a white point (Reinhard et al. 2002, eq. 4) on luminance so that hues stay, then sRGB, 8 bits.
 //! A pure function of the pixels.
 
@@ -11,7 +11,7 @@ use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 /// Share of the pixels that are darker than the one that sets the exposure.
 const EXPOSURE_PERCENTILE: f64 = 0.9;
 /// Luminance that pixel gets before the roll-off.
-const EXPOSURE_TARGET: f32 = 0.6;
+const EXPOSURE_TARGET: f32 = 0.9;
 /// Exposed luminance that becomes pure white: above, everything clips.
 const WHITE_POINT: f32 = 6.0;
 
