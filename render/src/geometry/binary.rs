@@ -106,6 +106,7 @@ impl BinaryTree {
     }
 
     /// Levels below the root on the longest path; zero if there is one node or none.
+    #[cfg(test)]
     pub(super) fn depth(&self) -> usize {
         let mut deepest = 0;
         let mut stack = if self.nodes.is_empty() { vec![] } else { vec![(0u32, 0usize)] };

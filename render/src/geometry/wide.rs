@@ -6,7 +6,7 @@ use super::bounds::Bounds;
 /// Children of a node.
 pub(super) const WIDTH: usize = 8;
 /// Expected cost of testing a leaf, relative to a node.
-const LEAF_COST: f32 = 0.7;
+const LEAF_COST: f32 = 1.0;
 /// Marks a child that is a leaf.
 const LEAF: u32 = 1 << 31;
 
