@@ -106,7 +106,8 @@ impl Strided {
                 "its elements take {element} bytes, more than the byteStride {stride} of bufferViews[{view_index}]"
             )));
         }
-        if offset % align != 0 || view.offset().saturating_add(offset) % align != 0 || stride % align != 0 {
+        let aligned = [offset, view.offset().saturating_add(offset), stride].iter().all(|n| n.is_multiple_of(align));
+        if !aligned {
             return Err(item.error(format!(
                 "misaligned: byteOffset {offset} in bufferViews[{view_index}] at byte {} is not a multiple of {align}",
                 view.offset()

@@ -57,10 +57,10 @@ fn check_view(doc: &Document, item: &Item, lengths: &[usize]) -> Result<View> {
     }
     let stride_item = item.get("byteStride")?;
     let stride = stride_item.as_ref().map(Item::size).transpose()?;
-    if let Some((item, stride)) = stride_item.zip(stride) {
-        if !STRIDE_RANGE.contains(&stride) || stride % 4 != 0 {
-            return Err(item.error(format!("must be a multiple of 4 from 4 to 252, found {stride}")));
-        }
+    if let Some((item, stride)) = stride_item.zip(stride)
+        && (!STRIDE_RANGE.contains(&stride) || !stride.is_multiple_of(4))
+    {
+        return Err(item.error(format!("must be a multiple of 4 from 4 to 252, found {stride}")));
     }
     Ok(View { buffer, offset, length, stride })
 }

@@ -12,7 +12,7 @@ pub(super) fn is_flat(transform: &DAffine3) -> bool {
     let m = transform.matrix3;
     let volume = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
     let determinant = m.determinant().abs();
-    !(determinant > FLATNESS * volume)
+    determinant <= FLATNESS * volume || determinant.is_nan()
 }
 
 /// The mesh as `transform` leaves it, with flat normals, and the translation that remains. `None` when no triangle

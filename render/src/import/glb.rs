@@ -75,7 +75,7 @@ fn chunk<'a>(file: &str, body: &'a [u8], start: usize) -> Result<(u32, &'a [u8],
     let place = || format!("{file}: chunk at byte {start}");
     let header = word(body, start).zip(word(body, start + 4));
     let (length, kind) = header.ok_or_else(|| SceneError::invalid(place(), "the chunk header is cut short"))?;
-    if length % 4 != 0 {
+    if !length.is_multiple_of(4) {
         return Err(SceneError::invalid(place(), format!("the chunk's length {length} is not a multiple of 4")));
     }
     let begin = start + CHUNK_HEADER_BYTES;

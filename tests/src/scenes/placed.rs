@@ -45,7 +45,7 @@ pub(super) fn instances() -> Vec<u8> {
     w.root(json!({ "name": "mirrored tower", "children": [towers[1]], "translation": [-1.4, 0.0, 0.0], "scale": [-1.0, 1.0, 1.0] }));
     let lamp = Shape::side(Side::Bottom, [-1.0, 4.0, -1.0], [1.0, 4.1, 1.0]).plain();
     w.object("lamp", &lamp, light);
-    w.camera("camera", [0.0, 2.6, 5.6], [0.0, 0.9, 0.0], 42.0);
+    w.camera("camera", [0.0, 3.2, 7.6], [0.0, 0.9, 0.0], 40.0);
     w.glb()
 }
 

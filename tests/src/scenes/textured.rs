@@ -95,7 +95,7 @@ fn surroundings(w: &mut Writer) {
     w.object("vertex colours", &floor, white);
     w.object("wall", &Shape::side(Side::Front, [-4.0, 0.0, -2.0], [4.0, 4.0, -1.0]).plain(), gray);
     w.object("lamp", &Shape::side(Side::Bottom, [-1.0, 4.0, 1.5], [1.0, 4.1, 3.5]).plain(), light);
-    w.camera("camera", [0.15, 1.4, 6.0], [0.15, 1.25, 0.0], 40.0);
+    w.camera("camera", [0.1, 1.4, 8.0], [0.1, 1.3, 0.0], 40.0);
 }
 
 fn matt(name: &str, texture: Value) -> Value {

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 fn transforms_multiply_down_the_tree_in_double_precision() {
     let mut b = Builder::square();
     // 2³⁰ + 2⁻²⁰ needs 51 bits: single precision would lose the second term.
-    let far = 1_073_741_824.000_000_953_674_316_406_25;
+    let far = 1_073_741_824.0 + 1.0 / 1_048_576.0;
     let half = std::f64::consts::FRAC_1_SQRT_2;
     b.json["nodes"] = json!([
         { "translation": [far, 0, 0], "children": [1] },
@@ -33,7 +33,7 @@ fn transforms_multiply_down_the_tree_in_double_precision() {
     let moved = leaf.to_world.translation - DVec3::new(far, 0.0, 0.0);
     assert!((moved - DVec3::new(-18.0, 10.0, -28.0)).abs().max_element() < 1e-6, "{moved}");
     let child = DAffine3::from_translation(DVec3::new(far, 0.0, 0.0));
-    assert_eq!(child.translation.x - 1_073_741_824.0, f64::from(2.0f32).powi(-20));
+    assert_eq!(child.translation.x - 1_073_741_824.0, 1.0 / 1_048_576.0);
 }
 
 #[test]
