@@ -202,3 +202,6 @@ pub(crate) fn offset(position: Vec3, error: Vec3, normal: Vec3, direction: Vec3)
     };
     Vec3::new(away(p.x, o.x), away(p.y, o.y), away(p.z, o.z))
 }
+
+#[cfg(test)]
+mod tests;

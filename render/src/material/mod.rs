@@ -35,3 +35,6 @@ pub enum TransportMode {
     /// Paths from lights (photons) carry importance backwards, power forwards.
     Importance,
 }
+
+#[cfg(test)]
+mod tests;
