@@ -137,7 +137,6 @@ fn scattering_is_reciprocal() {
         for _ in 0..5000 {
             let (wo, wi) = (warp::uniform_sphere(s.next_2d()), warp::uniform_sphere(s.next_2d()));
             let (f, g) = (b.eval(wo, wi, Lobes::ALL, Radiance).r, b.eval(wi, wo, Lobes::ALL, Importance).r);
-            // The absolute part: facets at the limit of refraction, where wo·m cancels to 1e-5.
             assert!((f - g).abs() <= 1e-3 * f.max(g) + 2e-6, "{name} {wo} {wi}: {f} {g}");
             if wo.z * wi.z > 0.0 {
                 let h = b.eval(wi, wo, Lobes::ALL, Radiance).r;

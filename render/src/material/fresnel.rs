@@ -31,6 +31,14 @@ pub fn dielectric(cos_i: f32, eta: f32) -> f32 {
     (0.5 * (parallel * parallel + perpendicular * perpendicular)).min(1.0)
 }
 
+/// 1 − [`dielectric`] from the cosines on both sides, without the cancellation of Snell's law near the critical angle.
+#[inline]
+pub fn transmittance(cos_i: f32, cos_t: f32, eta: f32) -> f32 {
+    let (s, p) = (cos_i + eta * cos_t, eta * cos_i + cos_t);
+    let four = 4.0 * eta * cos_i * cos_t;
+    (0.5 * (four / (s * s) + four / (p * p)).max(0.0)).min(1.0)
+}
+
 /// Cosine of the refracted direction (Snell), in [0, 1]; `None` at total internal reflection.
 #[inline]
 pub fn refracted_cosine(cos_i: f32, eta: f32) -> Option<f32> {
@@ -74,6 +82,7 @@ mod tests {
                 let t = refracted_cosine(c, eta).unwrap_or(0.0);
                 // Recovering c² from t costs η² 1e-7, which is 1e-5 in c at 0.05, and R changes by 6 per unit of c.
                 if t > 0.05 && c > 0.05 {
+                    assert!((transmittance(c, t, eta) - (1.0 - r)).abs() < 1e-5, "{eta} {c}");
                     assert!((dielectric(t, 1.0 / eta) - r).abs() < 1e-4, "{eta} {c} {r} {}", dielectric(t, 1.0 / eta));
                 }
             }

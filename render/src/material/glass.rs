@@ -1,7 +1,7 @@
 //! Dielectric boundaries: solid refracting bodies and thin walls, smooth (Dirac) and rough (Walter et al. 2007).
 
 use super::TransportMode;
-use super::fresnel::{dielectric, refracted_cosine, thin_slab};
+use super::fresnel::{dielectric, refracted_cosine, thin_slab, transmittance};
 use super::layered::{mirror, reflection_pdf, sample_normal};
 use super::microfacet::{ALPHA_RESOLVED, distribution, masking_over_cosine, visibility};
 use crate::math::Rgb;
@@ -143,7 +143,8 @@ impl Glass {
         if om <= 0.0 || im >= 0.0 {
             return (Rgb::BLACK, 0.0);
         }
-        let (r, t) = self.split(om, side.eta);
+        let through = transmittance(om, -im, side.eta);
+        let (r, t) = (1.0 - through, self.tint * through);
         let root = im + om / side.eta;
         // dm/dwi; the difference in `root` is never 0 for facets that refract wo into wi.
         let jacobian = -im / (root * root).max(f32::MIN_POSITIVE);
