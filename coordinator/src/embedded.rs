@@ -2,8 +2,7 @@
 //! here that knows the worker.
 
 use crate::compute::Compute;
-use crate::driver::{Driver, DriverConfig, Handle, KeepImage};
-use crate::intake::{self, IntakeError, Submission};
+use crate::driver::{Driver, DriverConfig, Handle, KeepImage, Spec};
 use crate::manifest;
 use crate::random::random_u64;
 use crate::schedule::Policy;
@@ -13,8 +12,9 @@ use crate::types::{JobId, JobProgress, JobResult, JobState};
 use gatherlight_proto::connect::tuned;
 use gatherlight_proto::limits::HEARTBEAT;
 use gatherlight_render::import::SceneBundle;
+use gatherlight_render::job::PreparedJob;
 use gatherlight_render::settings::RenderSettings;
-use gatherlight_worker::{Connector, Faults, WorkerConfig};
+use gatherlight_worker::{Connector, Faults, Shared, WorkerConfig};
 use hyper_util::rt::TokioIo;
 use std::io;
 use std::sync::Arc;
@@ -76,13 +76,27 @@ pub fn render(
     config: &Config,
     progress: impl FnMut(&JobProgress) + Send,
 ) -> Result<JobResult, RenderError> {
+    let prepared = Arc::new(PreparedJob::prepare(bundle, settings)?);
+    render_prepared(bundle, prepared, config, progress)
+}
+
+/// As [`render`], with the scene prepared from `bundle` already.
+///
+/// # Errors
+/// When the work failed.
+pub fn render_prepared(
+    bundle: &SceneBundle,
+    prepared: Arc<PreparedJob>,
+    config: &Config,
+    progress: impl FnMut(&JobProgress) + Send,
+) -> Result<JobResult, RenderError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         // For waiting and copying; the compute threads are others.
         .worker_threads(2)
         .enable_all()
         .build()
         .map_err(|e| RenderError::Start(e.to_string()))?;
-    let result = runtime.block_on(rendered(&runtime, bundle, settings, config, progress));
+    let result = runtime.block_on(rendered(&runtime, bundle, prepared, config, progress));
     runtime.shutdown_background();
     result
 }
@@ -90,18 +104,29 @@ pub fn render(
 async fn rendered(
     runtime: &Runtime,
     bundle: &SceneBundle,
-    settings: &RenderSettings,
+    prepared: Arc<PreparedJob>,
     config: &Config,
     progress: impl FnMut(&JobProgress) + Send,
 ) -> Result<JobResult, RenderError> {
     let compute = Compute::new(config.threads).map_err(RenderError::Start)?;
+    let shared = Shared::default();
+    let maps = shared.clone();
+    let driver_config = DriverConfig {
+        policy: config.policy.clone(),
+        max_live_jobs: 1,
+        // It is the caller's own memory, and `plan` has told what it takes.
+        max_job_bytes: u64::MAX,
+        keep: KeepImage::Film,
+        heartbeat: HEARTBEAT,
+        map_sink: Some(Arc::new(move |digest, map| maps.offer_map(digest, Arc::new(map)))),
+    };
     let store = Arc::new(Store::memory());
-    let driver_config =
-        DriverConfig { policy: config.policy.clone(), max_live_jobs: 1, keep: KeepImage::Film, heartbeat: HEARTBEAT };
     let driver = Driver::start(driver_config, compute.clone(), store.clone());
-    let job = submit(&driver, &compute, &store, bundle, settings).await?;
+    let spec = spec(bundle, prepared);
+    shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
+    let job = driver.submit(spec).await.map_err(|e| RenderError::Start(e.to_string()))?;
     let context = Context { driver: driver.clone(), compute, store };
-    start_cluster(runtime, context, config).await;
+    start_cluster(runtime, context, config, &shared).await;
     let last = follow(&driver, job, progress).await?;
     match last.state {
         JobState::Done => {}
@@ -112,29 +137,15 @@ async fn rendered(
     Ok(JobResult { film, metadata, stats: last.stats, elapsed: last.elapsed })
 }
 
-async fn submit(
-    driver: &Handle,
-    compute: &Compute,
-    store: &Arc<Store>,
-    bundle: &SceneBundle,
-    settings: &RenderSettings,
-) -> Result<JobId, RenderError> {
-    let (manifest, blobs) = manifest::pack(bundle);
-    for bytes in blobs.into_values() {
-        store.put(bytes).map_err(|e| RenderError::Start(e.to_string()))?;
-    }
+fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>) -> Spec {
     let mut request_key = [0; 16];
     request_key[..8].copy_from_slice(&random_u64().to_le_bytes());
-    let name = bundle.name.clone();
-    let submission = Submission { name, request_key, manifest, settings: settings.clone() };
-    intake::submit(driver, compute, store, submission).await.map_err(|e| match e {
-        IntakeError::Job(e) => RenderError::Job(e),
-        other => RenderError::Failed(other.to_string()),
-    })
+    let (manifest, _) = manifest::pack(bundle);
+    Spec { name: bundle.name.clone(), request_key, manifest, settings: prepared.settings().clone(), prepared }
 }
 
 /// The coordinator's services and the workers, joined by pipes.
-async fn start_cluster(runtime: &Runtime, context: Context, config: &Config) {
+async fn start_cluster(runtime: &Runtime, context: Context, config: &Config, shared: &Shared) {
     let (pipes, incoming) = mpsc::channel::<DuplexStream>(config.workers.max(1));
     let router = service::router(context).await;
     let incoming = ReceiverStream::new(incoming).map(Ok::<_, io::Error>);
@@ -147,6 +158,7 @@ async fn start_cluster(runtime: &Runtime, context: Context, config: &Config) {
         let worker = WorkerConfig {
             threads: config.threads,
             memory_bytes: u64::MAX,
+            shared: shared.clone(),
             faults: config.faults.get(number).cloned().unwrap_or_default(),
             ..WorkerConfig::new(format!("local-{number}"))
         };

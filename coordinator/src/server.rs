@@ -31,6 +31,8 @@ pub struct ServeConfig {
     pub max_store_bytes: u64,
     /// Most jobs that are not yet finished.
     pub max_live_jobs: usize,
+    /// Most memory one job may need of the coordinator, by its plan.
+    pub max_job_bytes: u64,
     /// The scheduler's constants.
     pub policy: Policy,
 }
@@ -44,6 +46,7 @@ impl ServeConfig {
             threads: 0,
             max_store_bytes: 64 << 30,
             max_live_jobs: 64,
+            max_job_bytes: 16 << 30,
             policy: Policy::default(),
         }
     }
@@ -100,8 +103,10 @@ impl Server {
         let driver_config = DriverConfig {
             policy: config.policy.clone(),
             max_live_jobs: config.max_live_jobs,
+            max_job_bytes: config.max_job_bytes,
             keep: KeepImage::Exr,
             heartbeat: HEARTBEAT,
+            map_sink: None,
         };
         let driver = Driver::start(driver_config, compute.clone(), store.clone());
         Ok(Server { listener, address, context: Context { driver, compute, store } })

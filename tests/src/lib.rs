@@ -1,8 +1,11 @@
 //! Helpers that tests share.
 
 pub mod chi_square;
+pub mod cluster;
 pub mod fixtures;
+pub mod processes;
 pub mod scenes;
+pub mod simulation;
 pub mod single;
 
 use gatherlight_render::export::decode;
@@ -38,4 +41,20 @@ pub fn scene(name: &str) -> gatherlight_render::import::SceneBundle {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes").join(name);
     let root = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     gatherlight_render::import::SceneBundle { name: name.into(), root: root.into(), externals: Vec::new() }
+}
+
+/// [`pixel_sha256`] of the EXR file of a film.
+///
+/// # Panics
+/// When it cannot be encoded.
+pub fn film_pixels_sha256(film: &gatherlight_render::film::Film) -> String {
+    use gatherlight_render::export::{ImageMetadata, encode};
+    let meta = ImageMetadata {
+        scene_digest: String::new(),
+        settings: Default::default(),
+        maps: Vec::new(),
+        plan: Vec::new(),
+        non_finite: 0,
+    };
+    pixel_sha256(&encode(film, &meta).expect("an EXR file"))
 }

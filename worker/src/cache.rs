@@ -4,6 +4,7 @@ use crate::client::Remote;
 use crate::error::TaskError;
 use crate::executor::Executor;
 use crate::session::Announced;
+use crate::shared::Shared;
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
@@ -32,6 +33,7 @@ struct Held {
 /// The cache of one worker; it outlives its sessions.
 pub struct Cache {
     memory_bytes: u64,
+    shared: Shared,
     jobs: BTreeMap<JobId, Held>,
     /// Scene files, the latest used last.
     blobs: VecDeque<(Digest, Bytes)>,
@@ -39,9 +41,9 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// An empty cache of a worker that may use `memory_bytes`.
-    pub fn new(memory_bytes: u64) -> Self {
-        Cache { memory_bytes, jobs: BTreeMap::new(), blobs: VecDeque::new(), blob_bytes: 0 }
+    /// An empty cache of a worker that may use `memory_bytes` beside what is `shared`.
+    pub fn new(memory_bytes: u64, shared: Shared) -> Self {
+        Cache { memory_bytes, shared, jobs: BTreeMap::new(), blobs: VecDeque::new(), blob_bytes: 0 }
     }
     /// Drops what is held for a job.
     pub fn forget(&mut self, job: JobId) {
@@ -65,10 +67,14 @@ impl Cache {
         if let Some(prepared) = self.jobs.get(&id).and_then(|j| j.prepared.clone()) {
             return Ok(prepared);
         }
-        let bundle = self.bundle(job, remote).await?;
-        let settings = job.settings.clone();
-        let prepared = executor.run(move || PreparedJob::prepare(&bundle, &settings)).await??;
-        let prepared = Arc::new(prepared);
+        let prepared = match self.shared.scene(&job.scene, &job.settings) {
+            Some(prepared) => prepared,
+            None => {
+                let bundle = self.bundle(job, remote).await?;
+                let settings = job.settings.clone();
+                Arc::new(executor.run(move || PreparedJob::prepare(&bundle, &settings)).await??)
+            }
+        };
         self.jobs.entry(id).or_default().prepared = Some(prepared.clone());
         Ok(prepared)
     }
@@ -98,6 +104,9 @@ impl Cache {
         Ok(self.jobs.entry(id).or_default().maps.clone())
     }
     async fn map(&self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
+        if let Some(shared) = self.shared.map(map.digest) {
+            return Ok(shared);
+        }
         let limit = self.memory_bytes;
         if map.bytes > limit {
             return Err(TaskError::Memory { map: map.kind.name(), bytes: map.bytes, limit });
@@ -149,7 +158,7 @@ mod tests {
 
     #[test]
     fn scene_files_are_kept_within_a_quarter_of_the_memory() {
-        let mut cache = Cache::new(4_000);
+        let mut cache = Cache::new(4_000, Shared::default());
         let digests: Vec<Digest> = (0..5).map(|i| Digest([i; 32])).collect();
         digests.iter().for_each(|&d| cache.keep(d, Bytes::from(vec![0; 300])));
         assert_eq!(cache.blobs.iter().map(|b| b.0).collect::<Vec<_>>(), digests[2..]);

@@ -1,5 +1,6 @@
 //! How a worker runs. Nothing here can change an image.
 
+use crate::shared::Shared;
 use gatherlight_proto::version::Versions;
 use std::time::Duration;
 
@@ -22,6 +23,8 @@ pub struct WorkerConfig {
     pub max_attempts: u32,
     /// Versions it claims; tests claim others.
     pub versions: Versions,
+    /// What is in this process already.
+    pub shared: Shared,
     /// Misbehaviour, for tests.
     pub faults: Faults,
 }
@@ -35,6 +38,7 @@ impl WorkerConfig {
             memory_bytes: DEFAULT_MEMORY_BYTES,
             max_attempts: DEFAULT_ATTEMPTS,
             versions: Versions::own(),
+            shared: Shared::default(),
             faults: Faults::default(),
         }
     }

@@ -4,7 +4,8 @@
 //! - [`client`]: the connection: joining, heartbeats, fetching, delivering, coming back;
 //! - [`executor`]: the compute threads, apart from the async ones, so that heartbeats flow while a tile renders;
 //! - [`emission`] and [`gather`]: a lease's indices → a payload;
-//! - [`cache`]: scenes and maps of the present jobs, and scene files by digest.
+//! - [`cache`]: scenes and maps of the present jobs, and scene files by digest;
+//! - [`shared`]: what is in this process already, where the coordinator is too.
 #![deny(unsafe_code)]
 
 pub mod cache;
@@ -15,7 +16,9 @@ pub mod error;
 pub mod executor;
 pub mod gather;
 pub mod session;
+pub mod shared;
 
 pub use client::{Connector, run};
 pub use config::{Faults, WorkerConfig};
 pub use error::WorkerError;
+pub use shared::Shared;

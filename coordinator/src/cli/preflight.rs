@@ -30,14 +30,18 @@ impl Preflight {
     /// # Errors
     /// When the scene or a setting makes no sense.
     pub(super) fn new(bundle: &SceneBundle, settings: &RenderSettings) -> Result<Self, CliError> {
-        let job = PreparedJob::prepare(bundle, settings)?;
-        Ok(Preflight {
+        Ok(Preflight::of(&PreparedJob::prepare(bundle, settings)?))
+    }
+
+    /// The same of a job that is prepared already.
+    pub(super) fn of(job: &PreparedJob) -> Self {
+        Preflight {
             digest: job.scene_digest().to_string(),
             plan: report::plan_lines(job.plan()),
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
-            json: plan_json(&job),
-        })
+            json: plan_json(job),
+        }
     }
 
     /// Prints the warnings.

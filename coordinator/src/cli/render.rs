@@ -10,6 +10,8 @@ use crate::embedded;
 use crate::report::{self, Summary};
 use clap::Args;
 use gatherlight_render::export;
+use gatherlight_render::job::PreparedJob;
+use std::sync::Arc;
 
 const EXAMPLES: &str = "\
 The scene and the options under Image and Photon mapping determine the image, bit for bit: whatever the number of \
@@ -48,13 +50,14 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     }
     let output = args.output.check()?;
     let (bundle, settings) = args.scene.load()?;
-    let preflight = Preflight::new(&bundle, &settings)?;
+    let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
+    let preflight = Preflight::of(&job);
     preflight.report_warnings(args.strict)?;
     args.messages.note(&preflight.text());
 
     let config = embedded::Config { threads: args.threads, ..Default::default() };
     let mut view = JobView::new(args.messages.style());
-    let result = embedded::render(&bundle, &settings, &config, |p| view.update(p));
+    let result = embedded::render_prepared(&bundle, job, &config, |p| view.update(p));
     view.end();
     let result = result?;
 

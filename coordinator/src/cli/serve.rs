@@ -49,6 +49,9 @@ pub(super) struct ServeArgs {
     /// Most jobs that have not ended
     #[arg(long, value_name = "N", default_value_t = 64)]
     max_jobs: usize,
+    /// Most memory one job may need of the coordinator, by its plan, e.g. 16G
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, default_value = "16G")]
+    max_job_memory: u64,
     /// Print the address as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -59,6 +62,7 @@ pub(super) fn run(args: &ServeArgs) -> CliResult {
         threads: args.threads,
         max_store_bytes: args.max_store,
         max_live_jobs: args.max_jobs,
+        max_job_bytes: args.max_job_memory,
         ..ServeConfig::new(args.listen, args.store.clone())
     };
     runtime()?.block_on(async {

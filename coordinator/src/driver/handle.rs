@@ -49,6 +49,17 @@ pub enum SubmitError {
     /// Too many unfinished jobs.
     #[error("{0} jobs are waiting or running, the limit of this coordinator; wait or raise its --max-jobs")]
     Full(usize),
+    /// The job's plan needs more memory than the coordinator gives one job.
+    #[error(
+        "the job needs about {needed} bytes of the coordinator's memory, over its limit of {limit}; raise its \
+         --max-job-memory, or ask for fewer photons, pixels or layers"
+    )]
+    Memory {
+        /// Bytes needed, by the plan.
+        needed: u64,
+        /// The limit.
+        limit: u64,
+    },
     /// The coordinator is shutting down.
     #[error("the coordinator is shutting down")]
     Closed,

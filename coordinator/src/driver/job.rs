@@ -51,6 +51,7 @@ pub(super) struct ServedMap {
 pub(super) struct Live {
     pub(super) prepared: Option<Arc<PreparedJob>>,
     pub(super) mergers: BTreeMap<MapKind, Merger>,
+    /// There once the first tile is.
     pub(super) film: Option<Film>,
     pub(super) maps: Vec<ServedMap>,
     pub(super) blobs: BTreeSet<Digest>,
@@ -95,7 +96,7 @@ impl JobRecord {
         let about = About::new(&prepared);
         let live = Live {
             mergers,
-            film: Some(Film::new(grid.width, grid.height, channels.clone())),
+            film: None,
             maps: Vec::new(),
             blobs: manifest.blobs().iter().map(|b| b.digest).collect(),
             prepared: Some(prepared),
@@ -171,6 +172,9 @@ impl JobRecord {
     /// The state a client sees, with units done and in all.
     fn visible_state(&self, job: &Job, workers: u64) -> (JobState, (u64, u64)) {
         let done = |e: &Emission| (e.work.done.units(), e.work.phase.units());
+        if workers == 0 && self.state == JobState::Waiting && job.open_phases().next().is_some() {
+            return (JobState::Waiting, (0, 0));
+        }
         match job.stage {
             JobStage::Assembling => (JobState::Assemble, (0, 0)),
             JobStage::Gathering => {
@@ -186,7 +190,6 @@ impl JobRecord {
             JobStage::Emitting => {
                 let find = |stage: MapStage| job.emissions.iter().find(move |e| e.stage == stage);
                 match (find(MapStage::Emitting), find(MapStage::Building)) {
-                    (Some(e), _) if workers == 0 && self.state == JobState::Waiting => (JobState::Waiting, done(e)),
                     (Some(e), _) => (JobState::Emission(e.kind), done(e)),
                     (None, Some(e)) => (JobState::Merge(e.kind), (0, e.work.stored)),
                     (None, None) => (JobState::Gather, (0, 0)),

@@ -18,7 +18,10 @@ use crate::schedule::{Command, Event, Policy, Scheduler};
 use crate::store::Store;
 use crate::types::JobId;
 use crate::{assemble, merge};
+use gatherlight_proto::Digest;
 use gatherlight_proto::message::{FromWorker, Task, ToWorker, WorkerId};
+use gatherlight_render::film::Film;
+use gatherlight_render::job::PhotonMap;
 use gatherlight_render::photon::MapKind;
 use handle::Input;
 use job::{JobRecord, ServedMap};
@@ -43,17 +46,24 @@ pub enum KeepImage {
     Exr,
 }
 
+/// Takes a map that is searched in this process, under the digest that leases name.
+pub type MapSink = Arc<dyn Fn(Digest, PhotonMap) + Send + Sync>;
+
 /// How a driver runs.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct DriverConfig {
     /// The scheduler's constants.
     pub policy: Policy,
     /// Most jobs that have not ended.
     pub max_live_jobs: usize,
+    /// Most memory one job may need of this process, by its plan.
+    pub max_job_bytes: u64,
     /// What to do with finished films.
     pub keep: KeepImage,
     /// Heartbeats asked of workers.
     pub heartbeat: Duration,
+    /// Where maps go when every worker is in this process; otherwise they are encoded for the broadcast.
+    pub map_sink: Option<MapSink>,
 }
 
 /// The loop's state.
@@ -161,6 +171,10 @@ impl Driver {
     fn submit(&mut self, spec: Spec) -> Result<JobId, SubmitError> {
         if let Some(job) = self.jobs.values().find(|j| j.request_key == spec.request_key) {
             return Ok(job.id);
+        }
+        let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);
+        if needed > limit {
+            return Err(SubmitError::Memory { needed, limit });
         }
         let live = self.jobs.values().filter(|j| !j.is_final()).count();
         if live >= self.config.max_live_jobs {
@@ -277,7 +291,8 @@ impl Driver {
                 merger.insert(batch).map_err(|e| e.to_string())
             }
             (Payload::Tiles(tiles), Task::Gather(_)) => {
-                let film = live.film.as_mut().ok_or("its image is assembled already")?;
+                let film =
+                    live.film.get_or_insert_with(|| Film::new(job.grid.width, job.grid.height, job.channels.clone()));
                 for tile in &tiles {
                     film.insert(tile).map_err(|e| e.to_string())?;
                     job.stats.rays += tile.rays;
@@ -342,9 +357,9 @@ impl Driver {
         if live.mergers.is_empty() {
             live.prepared = None;
         }
-        let own = self.own.clone();
+        let (own, sink) = (self.own.clone(), self.config.map_sink.clone());
         self.compute.spawn(move || {
-            let built = merge::build(kind, merger, &prepared);
+            let built = merge::build(kind, merger, &prepared, sink.as_ref());
             drop(prepared);
             if let Some(handle) = Handle::upgrade(&own) {
                 handle.report(Input::MapBuilt(id, built));
@@ -398,7 +413,7 @@ impl Driver {
     }
 
     /// Where this digest is: a map of a live job, or a blob of a live job's scene. Anything else is nobody's business.
-    fn source(&self, digest: gatherlight_proto::Digest) -> Option<Source> {
+    fn source(&self, digest: Digest) -> Option<Source> {
         let mut live = self.jobs.values().filter_map(|j| j.live.as_ref());
         live.find_map(|l| {
             let map = l.maps.iter().find(|m| m.digest == digest);

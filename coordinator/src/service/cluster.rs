@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Code, Request, Response, Status, Streaming};
 
 /// Time a worker has to introduce itself, and a delivery to send its next chunk.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -84,7 +84,10 @@ impl Cluster for ClusterService {
                 Ok(Response::new(Receipt { accepted }))
             }
             Err(status) => {
-                self.context.driver.refuse(ticket, status.message().to_owned()).await;
+                // A broken connection is no fault of the task: its worker is lost, or tells us itself.
+                if !is_broken_connection(&status) {
+                    self.context.driver.refuse(ticket, status.message().to_owned()).await;
+                }
                 Err(status)
             }
         }
@@ -105,6 +108,10 @@ impl ClusterService {
         let decoded = self.context.compute.run(decode).await;
         Ok(decoded.map_err(|e| Status::internal(e.to_string()))??)
     }
+}
+
+fn is_broken_connection(status: &Status) -> bool {
+    matches!(status.code(), Code::Cancelled | Code::Unknown | Code::Unavailable)
 }
 
 /// The chunks that follow the header, as one payload.

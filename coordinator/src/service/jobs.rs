@@ -21,6 +21,8 @@ use tonic::{Request, Response, Status, Streaming};
 const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 /// Submissions that load and prepare their scenes at once.
 const MAX_INTAKES: usize = 2;
+/// Longest error and name in a listing, in bytes.
+const MAX_LISTED_ERROR_BYTES: usize = 512;
 /// Time an upload has to send its next chunk.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -58,7 +60,7 @@ impl From<IntakeError> for Status {
         match e {
             IntakeError::Job(_) => Status::invalid_argument(text),
             IntakeError::Blob(_) => Status::failed_precondition(text),
-            IntakeError::Driver(SubmitError::Full(_)) => Status::resource_exhausted(text),
+            IntakeError::Driver(SubmitError::Full(_) | SubmitError::Memory { .. }) => Status::resource_exhausted(text),
             IntakeError::Driver(SubmitError::Closed) => Status::unavailable(text),
             IntakeError::Internal(_) => Status::internal(text),
         }
@@ -117,7 +119,14 @@ impl Jobs for JobsService {
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Result<Response<wire::ListReply>, Status> {
         let jobs = self.context.driver.list().await;
-        Ok(Response::new(wire::ListReply { jobs: jobs.iter().map(Into::into).collect() }))
+        let listed = jobs.iter().map(|j| {
+            let mut job = wire::Job::from(j);
+            // All of them have to fit into one message; the whole error is in `Get`.
+            job.error = truncated(&job.error, MAX_LISTED_ERROR_BYTES).to_owned();
+            job.name = truncated(&job.name, MAX_LISTED_ERROR_BYTES).to_owned();
+            job
+        });
+        Ok(Response::new(wire::ListReply { jobs: listed.collect() }))
     }
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<wire::Job>, Status> {

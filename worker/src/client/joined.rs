@@ -56,7 +56,7 @@ struct Joined {
 
 impl Life {
     pub(super) fn new(config: WorkerConfig, executor: Executor) -> Self {
-        let cache = Arc::new(Mutex::new(Cache::new(config.memory_bytes)));
+        let cache = Arc::new(Mutex::new(Cache::new(config.memory_bytes, config.shared.clone())));
         Life { config, executor, cache, begun: [0; 2] }
     }
 

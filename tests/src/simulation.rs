@@ -1,0 +1,452 @@
+//! A virtual cluster around the real scheduler: virtual workers, network and clock, all drawn from one seed.
+
+use gatherlight::schedule::{Command, Event, Outcome, Policy, Scheduler};
+use gatherlight::types::JobId;
+use gatherlight_proto::Digest;
+use gatherlight_proto::message::{Lease, LeaseId, MapRef, Task, WorkerId};
+use gatherlight_render::job::Phase;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::time::Duration;
+
+/// Virtual time after which a job that has not ended never will.
+const FOREVER: u64 = 200_000_000_000;
+/// Time between two ticks of the scheduler, and between two heartbeats.
+const TICK: u64 = 500_000;
+const BEAT: u64 = 1_000_000;
+
+/// What a run is made of. Probabilities are per message or per task.
+#[derive(Clone, Debug)]
+pub struct Conditions {
+    /// Workers there from the start.
+    pub workers: usize,
+    /// Of them, workers that fail every task.
+    pub broken_workers: usize,
+    /// Jobs submitted at random times.
+    pub jobs: usize,
+    /// Photon paths of each map of each job, at most.
+    pub paths: u64,
+    /// Tiles of each job, at most.
+    pub tiles: u32,
+    /// Probability that a worker crashes at a task, to come back as a new session a while later.
+    pub crash: f64,
+    /// Probability that a worker stalls at a task for up to a minute, heartbeats included.
+    pub stall: f64,
+    /// Probability that a task fails.
+    pub fail: f64,
+    /// Probability that a message is lost (with its connection: the session ends).
+    pub lose: f64,
+    /// Probability that a result arrives twice.
+    pub repeat: f64,
+    /// Longest delay of a message, in microseconds; messages overtake each other.
+    pub delay: u64,
+    /// Whether jobs may end as failed.
+    pub may_fail: bool,
+}
+
+impl Conditions {
+    /// Nothing goes wrong.
+    pub fn fair() -> Self {
+        Conditions {
+            workers: 8,
+            broken_workers: 0,
+            jobs: 2,
+            paths: 2_000_000,
+            tiles: 400,
+            crash: 0.0,
+            stall: 0.0,
+            fail: 0.0,
+            lose: 0.0,
+            repeat: 0.0,
+            delay: 1_000,
+            may_fail: false,
+        }
+    }
+    /// Everything goes wrong now and then.
+    pub fn stormy() -> Self {
+        Conditions { crash: 0.05, stall: 0.02, fail: 0.003, lose: 0.02, repeat: 0.1, delay: 300_000, ..Self::fair() }
+    }
+}
+
+/// What came of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// The seed.
+    pub seed: u64,
+    /// Jobs.
+    pub jobs: usize,
+    /// Jobs that failed.
+    pub failed: usize,
+    /// Leases handed out again.
+    pub retried: u64,
+    /// Results that did not count.
+    pub discarded: u64,
+    /// Workers that crashed.
+    pub crashes: u64,
+    /// Part of the workers' time, from the first lease to the end, in which they computed nothing.
+    pub idle_fraction: f64,
+    /// Virtual microseconds until the last job ended.
+    pub elapsed: u64,
+}
+
+/// SplitMix64 (Steele, Lea and Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    fn below(&mut self, n: u64) -> u64 {
+        self.next() % n.max(1)
+    }
+    fn chance(&mut self, p: f64) -> bool {
+        ((self.next() >> 11) as f64 / (1u64 << 53) as f64) < p
+    }
+}
+
+/// Something that will happen.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Due {
+    Submit(usize),
+    Join {
+        speed: u64,
+        broken: bool,
+    },
+    Beat(WorkerId),
+    /// A command arrives at a worker.
+    Arrive(WorkerId, u64),
+    Compute(WorkerId),
+    /// An event arrives at the scheduler.
+    Report(u64),
+    Tick,
+}
+
+/// A worker as it is, whatever the scheduler thinks.
+struct Virtual {
+    speed: u64,
+    broken: bool,
+    queue: Vec<Lease>,
+    computing: Option<Lease>,
+    stalled_until: u64,
+    busy: u64,
+}
+
+/// One phase of one job: how often each index was accepted, as disjoint intervals.
+#[derive(Default)]
+struct Counted {
+    accepted: BTreeMap<u64, u64>,
+}
+
+impl Counted {
+    fn add(&mut self, range: EmissionRange, seed: u64) {
+        let before = self.accepted.range(..range.end).next_back();
+        assert!(before.is_none_or(|(_, &end)| end <= range.first), "seed {seed}: {range:?} counted twice");
+        self.accepted.insert(range.first, range.end);
+    }
+    fn total(&self) -> u64 {
+        self.accepted.iter().map(|(first, end)| end - first).sum()
+    }
+}
+
+/// The world of one run.
+struct World<'c> {
+    seed: u64,
+    conditions: &'c Conditions,
+    random: Random,
+    now: u64,
+    agenda: BinaryHeap<Reverse<(u64, u64, Due)>>,
+    next_entry: u64,
+    scheduler: Scheduler,
+    workers: BTreeMap<WorkerId, Virtual>,
+    last_worker: u64,
+    /// Messages under way, by number.
+    to_worker: BTreeMap<u64, Command>,
+    to_scheduler: BTreeMap<u64, Event>,
+    phases: Vec<Vec<Phase>>,
+    counted: BTreeMap<(JobId, Option<MapKind>), Counted>,
+    open: BTreeSet<JobId>,
+    report: Report,
+    first_lease: Option<u64>,
+    capacity: u64,
+}
+
+/// Runs one cluster until all its jobs have ended.
+///
+/// # Panics
+/// When an index counts twice or not at all, a job does not end, or it fails where it may not: with the seed.
+pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
+    let mut world = World {
+        seed,
+        conditions,
+        random: Random(seed.wrapping_mul(0x2545_f491_4f6c_dd1d)),
+        now: 0,
+        agenda: BinaryHeap::new(),
+        next_entry: 0,
+        scheduler: Scheduler::new(Policy::default()),
+        workers: BTreeMap::new(),
+        last_worker: 0,
+        to_worker: BTreeMap::new(),
+        to_scheduler: BTreeMap::new(),
+        phases: Vec::new(),
+        counted: BTreeMap::new(),
+        open: BTreeSet::new(),
+        report: Report { seed, jobs: conditions.jobs, ..Report::default() },
+        first_lease: None,
+        capacity: 0,
+    };
+    world.populate();
+    while world.report.elapsed == 0 {
+        let Some(Reverse((at, _, due))) = world.agenda.pop() else { panic!("seed {seed}: nothing is left to happen") };
+        assert!(at < FOREVER, "seed {seed}: jobs {:?} never end", world.open);
+        world.now = at;
+        world.happen(due);
+    }
+    world.finish()
+}
+
+impl World<'_> {
+    fn populate(&mut self) {
+        for i in 0..self.conditions.jobs {
+            let paths = |r: &mut Random, most| r.below(most) + most / 8;
+            let (global, caustic) = (paths(&mut self.random, self.conditions.paths), self.conditions.paths / 3);
+            let tiles = self.random.below(u64::from(self.conditions.tiles)) as u32 + self.conditions.tiles / 4 + 1;
+            let emission = |map, paths| Phase::Emission { map, paths };
+            let all = [emission(MapKind::Global, global), emission(MapKind::Caustic, caustic), Phase::Gather { tiles }];
+            // With both maps, with one, or without photons.
+            let skip = if self.conditions.jobs == 1 { 0 } else { self.random.below(3) as usize };
+            self.phases.push(all[skip..].to_vec());
+            self.open.insert(JobId(i as u64));
+            let at = self.random.below(3_000_000) * u64::from(self.conditions.jobs > 1);
+            self.plan(at, Due::Submit(i));
+        }
+        for i in 0..self.conditions.workers {
+            let speed = 5_000 << self.random.below(5);
+            let at = self.random.below(2_000_000);
+            self.plan(at, Due::Join { speed, broken: i < self.conditions.broken_workers });
+        }
+        self.plan(0, Due::Tick);
+    }
+
+    fn plan(&mut self, at: u64, due: Due) {
+        self.next_entry += 1;
+        self.agenda.push(Reverse((at, self.next_entry, due)));
+    }
+
+    fn delay(&mut self) -> u64 {
+        1 + self.random.below(self.conditions.delay)
+    }
+
+    /// Sends an event to the scheduler. A lost message takes its connection along.
+    fn send(&mut self, event: Event, worker: WorkerId) {
+        if self.random.chance(self.conditions.lose) {
+            return self.disconnect(worker);
+        }
+        let number = self.next_entry;
+        let at = self.now + self.delay();
+        self.to_scheduler.insert(number, event);
+        self.plan(at, Due::Report(number));
+    }
+
+    /// The session breaks: the worker forgets its leases and comes back under a new number.
+    fn disconnect(&mut self, worker: WorkerId) {
+        let Some(gone) = self.workers.remove(&worker) else { return };
+        let at = self.now + self.delay();
+        // The coordinator sees a broken connection at once, or only misses heartbeats.
+        if self.random.chance(0.5) {
+            let number = self.next_entry;
+            self.to_scheduler.insert(number, Event::Lost { worker });
+            self.plan(at, Due::Report(number));
+        }
+        let back = self.now + 1_000_000 + self.random.below(20_000_000);
+        self.plan(back, Due::Join { speed: gone.speed, broken: gone.broken });
+        self.report.crashes += 1;
+    }
+
+    fn happen(&mut self, due: Due) {
+        match due {
+            Due::Submit(i) => {
+                let phases = self.phases[i].clone();
+                self.event(Event::Submitted { job: JobId(i as u64), phases });
+            }
+            Due::Join { speed, broken } => {
+                self.last_worker += 1;
+                let id = WorkerId(self.last_worker);
+                let new = Virtual { speed, broken, queue: Vec::new(), computing: None, stalled_until: 0, busy: 0 };
+                self.workers.insert(id, new);
+                self.event(Event::Joined { worker: id, threads: 4 });
+                self.plan(self.now + BEAT, Due::Beat(id));
+            }
+            Due::Beat(worker) => {
+                let Some(w) = self.workers.get(&worker) else { return };
+                if w.stalled_until <= self.now {
+                    self.send(Event::Heard { worker }, worker);
+                }
+                self.plan(self.now + BEAT, Due::Beat(worker));
+            }
+            Due::Arrive(worker, number) => {
+                let Some(command) = self.to_worker.remove(&number) else { return };
+                self.arrive(worker, command);
+            }
+            Due::Compute(worker) => self.computed(worker),
+            Due::Report(number) => {
+                if let Some(event) = self.to_scheduler.remove(&number) {
+                    self.event(event);
+                }
+            }
+            Due::Tick => {
+                self.event(Event::Tick);
+                self.plan(self.now + TICK, Due::Tick);
+            }
+        }
+    }
+
+    fn arrive(&mut self, worker: WorkerId, command: Command) {
+        let Some(w) = self.workers.get_mut(&worker) else { return };
+        match command {
+            Command::Assign { lease, .. } => w.queue.push(lease),
+            Command::Revoke { lease, .. } => w.queue.retain(|l| l.id != lease),
+            Command::Forget { job, .. } => w.queue.retain(|l| l.job != job),
+            _ => {}
+        }
+        self.begin(worker);
+    }
+
+    fn begin(&mut self, worker: WorkerId) {
+        let Some(w) = self.workers.get_mut(&worker) else { return };
+        if w.computing.is_some() || w.queue.is_empty() {
+            return;
+        }
+        let lease = w.queue.remove(0);
+        let units = match lease.task {
+            Task::Emission(_) => lease.range.len(),
+            // A tile takes as long as some thousand paths.
+            Task::Gather(_) => lease.range.len() * 1_000,
+        };
+        let time = units * 1_000_000 / w.speed + 1;
+        w.busy += time;
+        w.computing = Some(lease);
+        if self.random.chance(self.conditions.crash) {
+            return self.disconnect(worker);
+        }
+        let stall = if self.random.chance(self.conditions.stall) { self.random.below(60_000_000) } else { 0 };
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.stalled_until = self.now + stall;
+        }
+        self.first_lease.get_or_insert(self.now);
+        self.plan(self.now + time + stall, Due::Compute(worker));
+    }
+
+    fn computed(&mut self, worker: WorkerId) {
+        let Some(w) = self.workers.get_mut(&worker) else { return };
+        let Some(Lease { id: lease, attempt, range, task, .. }) = w.computing.take() else { return };
+        let (broken, speed) = (w.broken, w.speed);
+        if broken || self.random.chance(self.conditions.fail) {
+            let error = "virtual failure".to_owned();
+            self.send(Event::TaskFailed { worker, lease, attempt, error }, worker);
+        } else {
+            let scale = if matches!(task, Task::Emission(_)) { 1 } else { 1_000 };
+            let busy = Duration::from_micros(range.len() * scale * 1_000_000 / speed + 1);
+            let stored = range.len() / 2;
+            let done = Event::Completed { worker, lease, attempt, range, busy, stored };
+            if self.random.chance(self.conditions.repeat) {
+                self.send(done.clone(), worker);
+            }
+            self.send(done, worker);
+        }
+        self.begin(worker);
+    }
+
+    /// Gives the scheduler an event, checks what it says, and passes it on.
+    fn event(&mut self, event: Event) {
+        let completed = match &event {
+            Event::Completed { lease, range, .. } => {
+                self.scheduler.lease(*lease).map(|l| (*lease, l.lease.job, l.lease.task.clone(), *range))
+            }
+            _ => None,
+        };
+        let commands = self.scheduler.handle(Duration::from_micros(self.now), event);
+        for command in commands {
+            match &command {
+                Command::Accept { lease, .. } => self.accept(*lease, completed.as_ref()),
+                Command::Discard { .. } => self.report.discarded += 1,
+                Command::BuildMap { job, kind } => self.build(*job, *kind),
+                Command::Assemble { job } => {
+                    let at = self.now + self.delay();
+                    let number = self.next_entry;
+                    self.to_scheduler.insert(number, Event::Assembled { job: *job });
+                    self.plan(at, Due::Report(number));
+                }
+                Command::Finish { job, outcome } => self.ended(*job, outcome),
+                Command::Prepare { worker, .. }
+                | Command::Assign { worker, .. }
+                | Command::Revoke { worker, .. }
+                | Command::Forget { worker, .. } => {
+                    let (worker, number, at) = (*worker, self.next_entry, self.now + self.delay());
+                    if let Command::Assign { lease, .. } = &command {
+                        self.report.retried += u64::from(lease.attempt > 1);
+                    }
+                    self.to_worker.insert(number, command.clone());
+                    self.plan(at, Due::Arrive(worker, number));
+                }
+                // Whoever is dismissed notices, and comes back.
+                Command::Dismiss { worker, .. } => self.disconnect(*worker),
+            }
+        }
+    }
+
+    fn accept(&mut self, lease: LeaseId, completed: Option<&(LeaseId, JobId, Task, EmissionRange)>) {
+        let Some((id, job, task, range)) = completed else { panic!("seed {}: accepted nothing", self.seed) };
+        assert_eq!(*id, lease, "seed {}", self.seed);
+        let kind = if let Task::Emission(kind) = task { Some(*kind) } else { None };
+        self.counted.entry((*job, kind)).or_default().add(*range, self.seed);
+    }
+
+    fn build(&mut self, job: JobId, kind: MapKind) {
+        self.assert_complete(job, Some(kind));
+        let map = MapRef { kind, digest: Digest([job.0 as u8; 32]), bytes: 1 };
+        let number = self.next_entry;
+        self.to_scheduler.insert(number, Event::MapBuilt { job, map });
+        let at = self.now + 200_000 + self.delay();
+        self.plan(at, Due::Report(number));
+    }
+
+    fn assert_complete(&self, job: JobId, kind: Option<MapKind>) {
+        let wanted = self.phases[job.0 as usize].iter().find_map(|p| match (p, kind) {
+            (Phase::Emission { map, paths }, Some(kind)) if *map == kind => Some(*paths),
+            (Phase::Gather { tiles }, None) => Some(u64::from(*tiles)),
+            _ => None,
+        });
+        let counted = self.counted.get(&(job, kind)).map_or(0, Counted::total);
+        assert_eq!(Some(counted), wanted, "seed {}: job {job}, {kind:?}", self.seed);
+    }
+
+    fn ended(&mut self, job: JobId, outcome: &Outcome) {
+        assert!(self.open.remove(&job), "seed {}: job {job} ended twice", self.seed);
+        match outcome {
+            Outcome::Done => self.assert_complete(job, None),
+            Outcome::Failed(reason) => {
+                assert!(self.conditions.may_fail, "seed {}: job {job} failed: {reason}", self.seed);
+                assert!(reason.contains("virtual failure"), "seed {}: {reason}", self.seed);
+                self.report.failed += 1;
+            }
+            Outcome::Cancelled => panic!("seed {}: nobody cancelled job {job}", self.seed),
+        }
+        if self.open.is_empty() {
+            self.report.elapsed = self.now;
+        }
+    }
+
+    fn finish(mut self) -> Report {
+        assert_eq!(self.scheduler.leases().count(), 0, "seed {}: leases without a job", self.seed);
+        let span = self.now - self.first_lease.unwrap_or(0);
+        self.capacity = span * self.workers.len() as u64;
+        let busy: u64 = self.workers.values().map(|w| w.busy).sum();
+        self.report.idle_fraction = 1.0 - busy as f64 / self.capacity.max(1) as f64;
+        self.report
+    }
+}

@@ -1,0 +1,157 @@
+//! Peers that do not keep to the protocol are refused with a status; the coordinator goes on.
+
+use gatherlight_proto::Digest;
+use gatherlight_proto::chunk::chunks;
+use gatherlight_proto::connect::Stamp;
+use gatherlight_proto::limits::CHUNK_BYTES;
+use gatherlight_proto::version::Versions;
+use gatherlight_proto::wire::cluster_client::ClusterClient;
+use gatherlight_proto::wire::deliver_request::Kind;
+use gatherlight_proto::wire::jobs_client::JobsClient;
+use gatherlight_proto::wire::{self, Chunk, DeliverRequest, WorkerMessage};
+use gatherlight_tests::cluster::{Coordinator, PATIENCE, small_leases};
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status};
+
+type Stamped = InterceptedService<Channel, Stamp>;
+
+struct Peer {
+    _store: tempfile::TempDir,
+    coordinator: Coordinator,
+    cluster: ClusterClient<Stamped>,
+    jobs: JobsClient<Stamped>,
+}
+
+async fn peer() -> Peer {
+    let store = tempfile::tempdir().expect("a directory");
+    let coordinator = Coordinator::start(store.path(), small_leases()).await;
+    let channel = Endpoint::from_shared(coordinator.url()).expect("a URL").connect().await.expect("connects");
+    let stamp = Stamp(Versions::own());
+    Peer {
+        _store: store,
+        coordinator,
+        cluster: ClusterClient::with_interceptor(channel.clone(), stamp.clone()),
+        jobs: JobsClient::with_interceptor(channel, stamp),
+    }
+}
+
+fn code<T>(result: Result<T, Status>) -> Code {
+    result.map(drop).expect_err("is refused").code()
+}
+
+fn chunk(index: u64, total_bytes: u64, data: Vec<u8>) -> Chunk {
+    Chunk { index, digest: Digest([9; 32]).to_bytes(), total_bytes, data: data.into() }
+}
+
+#[tokio::test]
+async fn calls_without_versions_are_refused() {
+    let p = peer().await;
+    let channel = Endpoint::from_shared(p.coordinator.url()).expect("a URL").connect().await.expect("connects");
+    let status = JobsClient::new(channel.clone()).list(wire::ListRequest {}).await.expect_err("is refused");
+    assert_eq!(status.code(), Code::FailedPrecondition);
+    assert!(status.message().contains("version mismatch"), "{status}");
+    let empty = tokio_stream::iter(Vec::<WorkerMessage>::new());
+    assert_eq!(code(ClusterClient::new(channel).join(empty).await), Code::FailedPrecondition);
+}
+
+#[tokio::test]
+async fn uploads_out_of_order_too_large_or_damaged_are_refused() {
+    let p = peer().await;
+    let upload = async |list: Vec<Chunk>| code(p.jobs.clone().upload(tokio_stream::iter(list)).await);
+    assert_eq!(upload(vec![]).await, Code::InvalidArgument);
+    assert_eq!(upload(vec![chunk(1, 3, vec![1; 3])]).await, Code::InvalidArgument);
+    assert_eq!(upload(vec![chunk(0, 4, vec![1; 2]), chunk(0, 4, vec![1; 2])]).await, Code::InvalidArgument);
+    assert_eq!(upload(vec![chunk(0, u64::MAX, vec![1; 2])]).await, Code::ResourceExhausted);
+    assert_eq!(upload(vec![chunk(0, 3, vec![1; 4])]).await, Code::DataLoss);
+    assert_eq!(upload(vec![chunk(0, 4, vec![1; 3])]).await, Code::DataLoss);
+    assert_eq!(upload(vec![chunk(0, 3, vec![1; 3])]).await, Code::DataLoss);
+    let large = chunk(0, CHUNK_BYTES as u64 + 1, vec![1; CHUNK_BYTES + 1]);
+    assert_eq!(upload(vec![large]).await, Code::ResourceExhausted);
+    // Beyond the message limit the decoder refuses, before the message is read.
+    assert_eq!(upload(vec![chunk(0, 9 << 20, vec![1; 8 << 20])]).await, Code::OutOfRange);
+}
+
+#[tokio::test]
+async fn submissions_without_scene_blobs_or_sense_are_refused() {
+    let p = peer().await;
+    let settings = wire::RenderSettings::from(&gatherlight_render::settings::RenderSettings::default());
+    let blob = wire::Blob { digest: Digest([7; 32]).to_bytes(), bytes: 3 };
+    let scene = wire::SceneManifest { name: "../../etc/passwd".into(), root: Some(blob), externals: Vec::new() };
+    let good = wire::SubmitRequest {
+        name: "n".into(),
+        scene: Some(scene),
+        settings: Some(settings.clone()),
+        request_key: vec![1; 16].into(),
+    };
+    let submit = async |request: wire::SubmitRequest| code(p.jobs.clone().submit(request).await);
+    // All well but for the blob, which nobody uploaded.
+    assert_eq!(submit(good.clone()).await, Code::FailedPrecondition);
+    assert_eq!(submit(wire::SubmitRequest { scene: None, ..good.clone() }).await, Code::InvalidArgument);
+    assert_eq!(submit(wire::SubmitRequest { settings: None, ..good.clone() }).await, Code::InvalidArgument);
+    assert_eq!(
+        submit(wire::SubmitRequest { request_key: vec![1; 3].into(), ..good.clone() }).await,
+        Code::InvalidArgument
+    );
+    let nonsense = wire::RenderSettings { width: 0, ..settings };
+    assert_eq!(submit(wire::SubmitRequest { settings: Some(nonsense), ..good }).await, Code::InvalidArgument);
+}
+
+#[tokio::test]
+async fn sessions_that_begin_wrongly_are_refused() {
+    let p = peer().await;
+    let join = async |list: Vec<WorkerMessage>| code(p.cluster.clone().join(tokio_stream::iter(list)).await);
+    let message = |kind| WorkerMessage { kind: Some(kind) };
+    assert_eq!(join(vec![]).await, Code::InvalidArgument);
+    assert_eq!(join(vec![WorkerMessage { kind: None }]).await, Code::InvalidArgument);
+    let heartbeat = message(wire::worker_message::Kind::Heartbeat(wire::Heartbeat {}));
+    assert_eq!(join(vec![heartbeat]).await, Code::InvalidArgument);
+    let hello = wire::Hello { name: "n".into(), threads: 0, memory_bytes: 1 };
+    assert_eq!(join(vec![message(wire::worker_message::Kind::Hello(hello))]).await, Code::InvalidArgument);
+    let hello = wire::Hello { name: "n".repeat(10_000), threads: 1, memory_bytes: 1 };
+    assert_eq!(join(vec![message(wire::worker_message::Kind::Hello(hello))]).await, Code::ResourceExhausted);
+}
+
+#[tokio::test]
+async fn fetches_and_deliveries_without_a_session_get_nothing() {
+    let p = peer().await;
+    let request = wire::FetchRequest { session: 12345, digest: Digest([7; 32]).to_bytes() };
+    assert_eq!(code(p.cluster.clone().fetch(request).await), Code::NotFound);
+    let request = wire::FetchRequest { session: 12345, digest: vec![7; 5].into() };
+    assert_eq!(code(p.cluster.clone().fetch(request).await), Code::InvalidArgument);
+
+    let data = bytes::Bytes::from_static(b"junk");
+    let header = wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6 };
+    let header = DeliverRequest { kind: Some(Kind::Header(header)) };
+    let pieces: Vec<_> =
+        chunks(data.clone(), Digest::of(&data)).map(|c| DeliverRequest { kind: Some(Kind::Chunk(c)) }).collect();
+    let all = [vec![header], pieces.clone()].concat();
+    let receipt = p.cluster.clone().deliver(tokio_stream::iter(all)).await.expect("is answered").into_inner();
+    assert!(!receipt.accepted);
+    assert_eq!(code(p.cluster.clone().deliver(tokio_stream::iter(pieces)).await), Code::InvalidArgument);
+}
+
+#[tokio::test]
+async fn noise_on_the_port_does_not_stop_the_coordinator() {
+    use tokio::io::AsyncWriteExt;
+    let p = peer().await;
+    for noise in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xff; 4_096], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\nxxxxxxxxxxxx"] {
+        let mut stream = tokio::net::TcpStream::connect(p.coordinator.address).await.expect("connects");
+        drop(stream.write_all(noise).await);
+    }
+    let listed = tokio::time::timeout(PATIENCE, p.jobs.clone().list(wire::ListRequest {})).await.expect("in time");
+    assert!(listed.expect("is answered").into_inner().jobs.is_empty());
+}
+
+#[tokio::test]
+async fn the_standard_health_service_answers_without_versions() {
+    use tonic_health::pb::health_check_response::ServingStatus;
+    let p = peer().await;
+    let channel = Endpoint::from_shared(p.coordinator.url()).expect("a URL").connect().await.expect("connects");
+    let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
+    for service in ["", "gatherlight.v1.Cluster", "gatherlight.v1.Jobs"] {
+        let request = tonic_health::pb::HealthCheckRequest { service: service.into() };
+        let reply = health.check(request).await.expect("is answered").into_inner();
+        assert_eq!(reply.status(), ServingStatus::Serving, "{service:?}");
+    }
+}

@@ -1,0 +1,61 @@
+//! The scheduler under a virtual cluster and clock: workers of different speed that crash, come back, stall, fail, and a
+//! network that loses, delays, repeats and reorders. Every job ends, and every index counts exactly once.
+//!
+//! One run is one seed. To replay seed 1234: `SIMULATION_SEED=1234 cargo test --test scheduler_simulation -- --nocapture`.
+
+use gatherlight_tests::simulation::{Conditions, Report, simulate};
+
+/// Runs of each kind of weather.
+const SEEDS: u64 = 300;
+
+fn seeds() -> std::ops::Range<u64> {
+    match std::env::var("SIMULATION_SEED").ok().and_then(|s| s.parse().ok()) {
+        Some(seed) => seed..seed + 1,
+        None => 0..SEEDS,
+    }
+}
+
+fn all(conditions: impl Fn(u64) -> Conditions) -> Vec<Report> {
+    seeds().map(|seed| simulate(seed, &conditions(seed))).collect()
+}
+
+#[test]
+fn in_fair_weather_nothing_is_done_twice() {
+    for report in all(|seed| Conditions { workers: 1 + seed as usize % 40, ..Conditions::fair() }) {
+        assert_eq!((report.retried, report.discarded), (0, 0), "seed {}", report.seed);
+    }
+}
+
+#[test]
+fn under_loss_delay_duplication_and_reordering_every_index_counts_once() {
+    let reports = all(|seed| Conditions { workers: 2 + seed as usize % 20, ..Conditions::stormy() });
+    // The weather has to have been bad: else this shows nothing.
+    if reports.len() > 1 {
+        assert!(reports.iter().map(|r| r.crashes).sum::<u64>() > SEEDS);
+        assert!(reports.iter().map(|r| r.discarded).sum::<u64>() > SEEDS);
+        assert!(reports.iter().map(|r| r.retried).sum::<u64>() > SEEDS);
+    }
+}
+
+#[test]
+fn workers_that_fail_everything_are_set_aside_and_the_others_finish() {
+    all(|seed| Conditions { workers: 6, broken_workers: 1 + seed as usize % 2, ..Conditions::fair() });
+}
+
+#[test]
+fn with_only_broken_workers_every_job_fails_with_a_reason() {
+    for seed in seeds() {
+        let conditions = Conditions { workers: 4, broken_workers: 4, may_fail: true, ..Conditions::fair() };
+        let report = simulate(seed, &conditions);
+        assert_eq!(report.failed, report.jobs, "seed {seed}");
+    }
+}
+
+#[test]
+fn a_thousand_workers_keep_busy() {
+    let conditions = Conditions { workers: 1_000, paths: 200_000_000, tiles: 130_000, jobs: 1, ..Conditions::fair() };
+    let report = simulate(1, &conditions);
+    assert_eq!(report.retried, 0);
+    // Speeds differ by a factor of 16 and leases take about a second, so the ends of two phases cost a few of them.
+    assert!(report.idle_fraction < 0.25, "idle {:.3}, {:?}", report.idle_fraction, report);
+}
