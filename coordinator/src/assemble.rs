@@ -2,8 +2,8 @@
 
 use crate::driver::{Image, KeepImage};
 use crate::store::Store;
-use gatherlight_render::export::exr;
 use gatherlight_render::export::ImageMetadata;
+use gatherlight_render::export::exr;
 use gatherlight_render::film::Film;
 
 /// Finishes the image as `keep` says.

@@ -122,13 +122,16 @@ impl Server {
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
         tracing::info!(address = %self.address, "listening");
         let (begun, begins) = oneshot::channel();
+        let driver = self.context.driver.clone();
         let shutdown = async move {
             shutdown.await;
+            tracing::info!("shutting down");
+            // Sessions and watches would stay open for ever; workers join whoever comes next.
+            driver.shutdown().await;
             drop(begun);
         };
         let incoming = TcpIncoming::from(self.listener).with_nodelay(Some(true));
         let serving = service::router(self.context).await.serve_with_incoming_shutdown(incoming, shutdown);
-        // Workers keep their sessions open for ever: after the grace they are cut, and join whoever comes next.
         let grace = async {
             drop::<Result<(), _>>(begins.await);
             tokio::time::sleep(SHUTDOWN_GRACE).await;

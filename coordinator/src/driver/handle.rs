@@ -41,6 +41,7 @@ pub(crate) enum Input {
     Source(u64, Digest, Reply<Option<Source>>),
     MapBuilt(JobId, Result<BuiltMap, String>),
     Assembled(JobId, Result<Image, String>),
+    Shutdown,
 }
 
 /// Why a job was not taken.
@@ -242,6 +243,10 @@ impl Handle {
     /// Where a worker's session may read this digest.
     pub async fn source(&self, session: u64, digest: Digest) -> Option<Source> {
         self.ask(|reply| Input::Source(session, digest, reply)).await.flatten()
+    }
+    /// Ends the driver: sessions and watches are closed, and whoever asks from now on hears that it is shutting down.
+    pub async fn shutdown(&self) {
+        drop(self.inputs.send(Input::Shutdown).await);
     }
     /// For compute threads: reports a result, waiting if the driver is busy.
     pub(crate) fn report(&self, input: Input) {

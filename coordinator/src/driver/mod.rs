@@ -106,8 +106,8 @@ impl Driver {
         loop {
             tokio::select! {
                 input = inputs.recv() => match input {
+                    None | Some(Input::Shutdown) => return,
                     Some(input) => self.take(input),
-                    None => return,
                 },
                 _ = ticks.tick() => {
                     self.event(Event::Tick);
@@ -165,6 +165,8 @@ impl Driver {
             }
             Input::MapBuilt(id, built) => self.map_built(id, built),
             Input::Assembled(id, image) => self.assembled(id, image),
+            // The loop has ended before it gets here.
+            Input::Shutdown => {}
         }
     }
 
