@@ -112,7 +112,8 @@ async fn rendered(
     let shared = Shared::default();
     let maps = shared.clone();
     let driver_config = DriverConfig {
-        policy: config.policy.clone(),
+        // Nobody else will turn up in this process.
+        policy: Policy { patience: Duration::ZERO, ..config.policy.clone() },
         max_live_jobs: 1,
         // It is the caller's own memory, and `plan` has told what it takes.
         max_job_bytes: u64::MAX,

@@ -131,7 +131,7 @@ async fn two_jobs_share_the_cluster() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_task_that_fails_everywhere_fails_the_job_with_the_workers_errors() {
-    let (_store, coordinator) = start(small_leases()).await;
+    let (_store, coordinator) = start(Policy { patience: Duration::from_millis(200), ..small_leases() }).await;
     let broken = |text: &str| Faults { fail: Some(text.into()), ..Faults::default() };
     let _workers =
         [coordinator.worker("a", broken("disk on fire")), coordinator.worker("b", broken("disk under water"))];

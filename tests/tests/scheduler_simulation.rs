@@ -53,9 +53,10 @@ fn with_only_broken_workers_every_job_fails_with_a_reason() {
 
 #[test]
 fn a_thousand_workers_keep_busy() {
-    let conditions = Conditions { workers: 1_000, paths: 200_000_000, tiles: 130_000, jobs: 1, ..Conditions::fair() };
+    let conditions = Conditions { workers: 1_000, paths: 1_000_000_000, tiles: 130_000, jobs: 1, ..Conditions::fair() };
     let report = simulate(1, &conditions);
     assert_eq!(report.retried, 0);
-    // Speeds differ by a factor of 16 and leases take about a second, so the ends of two phases cost a few of them.
-    assert!(report.idle_fraction < 0.25, "idle {:.3}, {:?}", report.idle_fraction, report);
+    // About a minute of work. Speeds differ by a factor of 16, workers join over two seconds, and each of the three phases
+    // ends with shrinking leases and a build: a few seconds of idling in all.
+    assert!(report.idle_fraction < 0.2, "idle {:.3}, {:?}", report.idle_fraction, report);
 }

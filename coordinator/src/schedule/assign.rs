@@ -63,19 +63,20 @@ impl Scheduler {
                 let units = self.policy.lease_units(work.phase, self.situation(job, phase, worker, work)?);
                 let from = self.policy.shuffle.map_or(0, |seed| mix(seed, self.last_lease) % work.phase.units());
                 let range = self.jobs.get_mut(&job)?.work_mut(phase)?.fresh.take_from(from, units)?;
-                return Some((phase, Retry { range, history: Default::default() }));
+                return Some((phase, Retry { range, history: Default::default(), since: self.now }));
             }
         }
         None
     }
 
-    /// A task goes back to a worker that failed it only when nobody else is there.
+    /// A task goes back to a worker that failed it only when nobody else has turned up for a while.
     fn may_retry(&self, job: JobId, worker: WorkerId, retry: &Retry) -> bool {
         let failed_by = |id: WorkerId| retry.history.failures.iter().any(|&(w, _)| w == id);
         let limit = self.policy.set_aside_after;
         let could =
             |(&id, w): (&WorkerId, &super::Worker)| !w.draining && !w.is_set_aside(job, limit) && !failed_by(id);
-        !failed_by(worker) || !self.workers.iter().any(could)
+        let waited = self.now.saturating_sub(retry.since) >= self.policy.patience;
+        !failed_by(worker) || (waited && !self.workers.iter().any(could))
     }
 
     fn situation(&self, job: JobId, phase: usize, worker: WorkerId, work: &Work) -> Option<Situation> {
@@ -103,7 +104,7 @@ impl Scheduler {
         retry: Retry,
         out: &mut Vec<Command>,
     ) {
-        let Retry { range, mut history } = retry;
+        let Retry { range, mut history, .. } = retry;
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);

@@ -14,6 +14,7 @@ use gatherlight_proto::message::{MapRef, Task, WorkerId};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::time::Duration;
 
 /// What is remembered of indices that came back undone.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,6 +34,8 @@ pub struct Retry {
     pub range: EmissionRange,
     /// Their past.
     pub history: History,
+    /// When they came back.
+    pub since: Duration,
 }
 
 /// The indices of one phase.
@@ -115,6 +118,8 @@ pub struct Job {
     pub stage: JobStage,
     /// Leases handed out again so far.
     pub retried: u64,
+    /// Since when every worker that is there is set aside.
+    pub stuck_since: Option<Duration>,
 }
 
 /// What a job wants of the coordinator after a step.
@@ -143,7 +148,7 @@ impl Job {
             }
         }
         let stage = if emissions.is_empty() { JobStage::Gathering } else { JobStage::Emitting };
-        Some(Job { id, emissions, gather: Work::new(last), stage, retried: 0 })
+        Some(Job { id, emissions, gather: Work::new(last), stage, retried: 0, stuck_since: None })
     }
     /// The phases with something to hand out, in order, by index; the gather pass comes after all emissions.
     pub fn open_phases(&self) -> impl Iterator<Item = usize> + '_ {

@@ -49,6 +49,7 @@ pub struct Scheduler {
     workers: Workers,
     leases: BTreeMap<LeaseId, OpenLease>,
     last_lease: u64,
+    now: Duration,
 }
 
 impl Scheduler {
@@ -58,6 +59,7 @@ impl Scheduler {
     }
     /// Takes in what happened at time `now` (from any origin, never going back); returns what to do about it.
     pub fn handle(&mut self, now: Duration, event: Event) -> Vec<Command> {
+        self.now = now;
         let mut out = Vec::new();
         match event {
             Event::Submitted { job, phases } => self.submitted(job, &phases, &mut out),
@@ -195,8 +197,18 @@ impl Scheduler {
             w.failed(job, phase, first);
         }
         self.take_back(lease, |history| history.failures.push((worker, error)), out);
-        let limit = self.policy.set_aside_after;
-        if self.jobs.contains_key(&job) && self.workers.values().all(|w| w.is_set_aside(job, limit)) {
+    }
+
+    /// Fails the jobs that only have workers which were set aside, and had no other for a while.
+    fn fail_stuck(&mut self, out: &mut Vec<Command>) {
+        let (limit, patience, now) = (self.policy.set_aside_after, self.policy.patience, self.now);
+        let mut hopeless = Vec::new();
+        for (&id, job) in &mut self.jobs {
+            let stuck = !self.workers.is_empty() && self.workers.values().all(|w| w.is_set_aside(id, limit));
+            job.stuck_since = stuck.then(|| job.stuck_since.unwrap_or(now));
+            hopeless.extend(job.stuck_since.filter(|&since| now.saturating_sub(since) >= patience).map(|_| id));
+        }
+        for job in hopeless {
             let text = format!("every worker failed {limit} tasks; {}", self.errors_of(job));
             self.end(job, Outcome::Failed(text), out);
         }
@@ -230,7 +242,7 @@ impl Scheduler {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         job.retried += 1;
         if let Some(work) = job.work_mut(open.phase) {
-            work.retries.push(Retry { range, history });
+            work.retries.push(Retry { range, history, since: self.now });
         }
         if let Some(error) = hopeless {
             self.end(id, Outcome::Failed(error), out);
@@ -285,5 +297,6 @@ impl Scheduler {
             out.push(Command::Revoke { worker, lease });
             self.take_back(lease, |history| history.losses += 1, out);
         }
+        self.fail_stuck(out);
     }
 }

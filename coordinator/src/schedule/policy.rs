@@ -32,6 +32,9 @@ pub struct Policy {
     pub max_losses: u32,
     /// Tasks of one job a worker may fail before it gets no more of that job.
     pub set_aside_after: usize,
+    /// Time that other workers get to turn up, before a task goes back to a worker that failed it, and before a job fails
+    /// because every worker that is there was set aside.
+    pub patience: Duration,
     /// For tests: hand out indices in an order drawn from this seed.
     pub shuffle: Option<u64>,
 }
@@ -52,6 +55,7 @@ impl Default for Policy {
             max_failures: 3,
             max_losses: 10,
             set_aside_after: 3,
+            patience: Duration::from_secs(10),
             shuffle: None,
         }
     }

@@ -260,11 +260,19 @@ fn a_task_that_fails_on_three_workers_fails_the_job_with_their_errors() {
 }
 
 #[test]
-fn a_lone_worker_may_try_again_until_the_third_failure() {
+fn a_lone_worker_may_try_again_after_a_while_until_the_third_failure() {
     let mut b = Bench::with_job(policy(), 10, 1);
     b.join(A);
-    assert_eq!(b.fail(A, 1, "x"), [emit(A, 2, 2, range(0, 10))]);
-    assert_eq!(b.fail(A, 2, "x"), [emit(A, 3, 3, range(0, 10))]);
+    let later = |b: &mut Bench, s| {
+        b.now = seconds(s);
+        b.event(Event::Heard { worker: A })
+    };
+    assert_eq!(b.fail(A, 1, "x"), []);
+    // Others get some time to turn up.
+    assert_eq!(later(&mut b, 9), []);
+    assert_eq!(later(&mut b, 10), [emit(A, 2, 2, range(0, 10))]);
+    assert_eq!(b.fail(A, 2, "x"), []);
+    assert_eq!(later(&mut b, 20), [emit(A, 3, 3, range(0, 10))]);
     assert!(matches!(b.fail(A, 3, "x").last(), Some(Command::Finish { outcome: Outcome::Failed(_), .. })));
 }
 
@@ -290,6 +298,13 @@ fn when_every_worker_is_set_aside_the_job_fails() {
     for _ in 0..6 {
         let open: Vec<_> = b.scheduler.leases().map(|l| (l.worker, l.lease.id.0)).collect();
         open.iter().for_each(|&(w, l)| last.extend(b.fail(w, l, "bad disk")));
+    }
+    assert!([A, B].iter().all(|w| b.scheduler.workers()[w].is_set_aside(JOB, 3)));
+    for s in 0..=10 {
+        b.now = seconds(s);
+        [A, B].map(|worker| b.event(Event::Heard { worker }));
+        assert!(!last.iter().any(|c| matches!(c, Command::Finish { .. })), "after {s} s");
+        last.extend(b.event(Event::Tick));
     }
     let ended = last.iter().find_map(|c| match c {
         Command::Finish { outcome: Outcome::Failed(text), .. } => Some(text.clone()),
