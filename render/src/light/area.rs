@@ -1,6 +1,6 @@
 //! Emissive triangles.
 
-use super::spherical_triangle::{SphericalTriangle, solid_angle};
+use super::spherical_triangle::SphericalTriangle;
 use super::{EmissionPoint, EmissionSample, LightContext, LightLiSample, offset};
 use crate::math::ops::{INV_PI, PI};
 use crate::math::warp::{cosine_hemisphere, triangle};
@@ -84,7 +84,20 @@ impl AreaLight {
                 }
             }
         }
-        Rgb::from(sum.map(|v| (v / (f64::from(n) * f64::from(n))) as f32))
+        let count = f64::from(n) * f64::from(n);
+        if sum == [0.0; 3] {
+            return self.overlooked(ctx) * (1.0 / count as f32);
+        }
+        Rgb::from(sum.map(|v| (v / count) as f32))
+    }
+
+    /// Radiance that a sub-triangle may hide when all their centroids are black: none if no texel the triangle covers
+    /// is lit, else the full factor, so that the light keeps a chance to be chosen.
+    fn overlooked(&self, ctx: &LightContext) -> Rgb {
+        let Some(m) = ctx.materials.get(self.shape.material as usize) else { return Rgb::BLACK };
+        let uv = self.shape.uv.map(|v| v[m.emission_uv_set()]);
+        let (min, max) = (uv[0].min(uv[1]).min(uv[2]), uv[0].max(uv[1]).max(uv[2]));
+        if m.may_emit_within(min, max, ctx.textures) { m.emission_factor() } else { Rgb::BLACK }
     }
 
     fn subdivision(&self, ctx: &LightContext) -> u32 {
@@ -136,11 +149,8 @@ impl AreaLight {
         }
         let direction = |p: Vec3| (p.as_dvec3() - from.as_dvec3()).try_normalize();
         let (a, b, c) = (direction(p0)?, direction(p1)?, direction(p2)?);
-        let omega = solid_angle(a, b, c);
-        if !(MIN_SPHERICAL..=MAX_SPHERICAL).contains(&omega) {
-            return None;
-        }
-        SphericalTriangle::new(a, b, c, omega)
+        let triangle = SphericalTriangle::new(a, b, c);
+        (MIN_SPHERICAL..=MAX_SPHERICAL).contains(&triangle.solid_angle).then_some(triangle)
     }
 
     /// See [`super::Light::sample_li`].

@@ -208,6 +208,28 @@ fn textured_emission_is_integrated() {
     assert!((f64::from(light.power().r) / closed - 1.0).abs() < 0.1, "{:?}", light.power());
 }
 
+/// One lit texel among a million, missed by the subdivision, still leaves the light a chance; a black texture none.
+#[test]
+fn a_single_lit_texel_is_not_lost() {
+    let d = MaterialDescription {
+        emissive_texture: Some(TextureRef { texture: 0, uv_set: 0 }),
+        ..MaterialDescription::emitter("", Rgb::splat(4.0))
+    };
+    for lit in [true, false] {
+        let mut image = ImageDescription { name: String::new(), width: 1024, height: 1024, rgba: vec![0; 4 << 20] };
+        if lit {
+            image.rgba[4 * (301 * 1024 + 205)..][..3].fill(255);
+        }
+        let texture = TextureDescription { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::Repeat, nearest: false };
+        let setup =
+            Setup { materials: vec![Material::new(&d, 1.0)], textures: Textures::new(vec![texture], vec![image]) };
+        let mut t = triangle([Vec3::ZERO, Vec3::X, Vec3::Y]);
+        t.uv = [[Vec2::ZERO; 2], [Vec2::X; 2], [Vec2::Y; 2]];
+        let lights = Lights::build(&[t], Vec::new(), &setup.ctx());
+        assert_eq!(!lights.selector().is_empty(), lit);
+    }
+}
+
 #[test]
 fn nothing_is_nan_at_tiny_distant_and_degenerate_lights() {
     let setup = Setup::new(&MaterialDescription::emitter("", Rgb::splat(1e20)));

@@ -74,7 +74,7 @@ impl Material {
         let mut base = self.d.base_color * Rgb::new(c[0], c[1], c[2]);
         if let Some(t) = self.d.base_color_texture {
             let v = textures.sample(t, &point.uv, Encoding::Srgb);
-            base = base * Rgb::new(v[0], v[1], v[2]);
+            base *= Rgb::new(v[0], v[1], v[2]);
         }
         base.clamp01()
     }
@@ -93,7 +93,7 @@ impl Material {
         let mut specular_color = d.specular_color;
         if let Some(t) = d.specular_color_texture {
             let v = read(t, Encoding::Srgb);
-            specular_color = specular_color * Rgb::new(v[0], v[1], v[2]);
+            specular_color *= Rgb::new(v[0], v[1], v[2]);
         }
         let alpha = roughness * roughness;
         let base = self.base_color(point, textures);
@@ -205,6 +205,15 @@ impl Material {
     /// Texels of the emissive texture, where there is one.
     pub fn emission_resolution(&self, textures: &Textures) -> Option<[u32; 2]> {
         self.d.emissive_texture.map(|t| textures.resolution(t))
+    }
+    /// Whether some point whose texture coordinates lie within the box from `min` to `max` may emit.
+    pub fn may_emit_within(&self, min: Vec2, max: Vec2, textures: &Textures) -> bool {
+        let textured = self.d.emissive_texture.is_none_or(|t| !textures.is_black_within(t, min, max));
+        self.is_emissive() && textured
+    }
+    /// The emitted radiance before textures.
+    pub fn emission_factor(&self) -> Rgb {
+        self.d.emission
     }
     /// The texture coordinate set of the emissive texture.
     pub fn emission_uv_set(&self) -> usize {

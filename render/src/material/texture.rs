@@ -81,6 +81,28 @@ impl Textures {
             .map_or([1, 1], |i| [i.width.max(1), i.height.max(1)])
     }
 
+    /// Whether every texel that filtering may touch for coordinates within the box from `min` to `max` is black.
+    pub fn is_black_within(&self, reference: TextureRef, min: Vec2, max: Vec2) -> bool {
+        let Some(texture) = self.textures.get(reference.texture) else { return false };
+        let Some(image) = self.images.get(texture.image) else { return false };
+        if !(min.is_finite() && max.is_finite()) {
+            return false;
+        }
+        // A texel beyond each side for the filter; never more than one turn of a wrapped image.
+        let range = |lo: f32, hi: f32, size: u32| {
+            let n = f64::from(size);
+            let (first, last) = ((f64::from(lo) * n).floor() as i64 - 1, (f64::from(hi) * n).floor() as i64 + 1);
+            first..=last.min(first.saturating_add(2 * i64::from(size)))
+        };
+        let columns = range(min.x, max.x, image.width);
+        range(min.y, max.y, image.height).all(|y| {
+            columns.clone().all(|x| {
+                let t = self.texel(texture, image, x, y, Encoding::Linear);
+                t[0] == 0.0 && t[1] == 0.0 && t[2] == 0.0
+            })
+        })
+    }
+
     /// One texel, linear; coordinates beyond the image wrap.
     fn texel(&self, t: &TextureDescription, i: &ImageDescription, x: i64, y: i64, encoding: Encoding) -> [f32; 4] {
         let (x, y) = (wrap(x, i.width, t.wrap_u), wrap(y, i.height, t.wrap_v));
