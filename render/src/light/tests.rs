@@ -134,6 +134,24 @@ fn sphere_irradiance() {
     assert!((mean - closed).abs() < SIGMAS * error + 1e-3 * closed, "{mean} ± {error}, {closed}");
 }
 
+/// The falloff of a spot of 0.01°, whose cosines differ by less than f32 can hold: a direction's rounding of 6e-8 is
+/// 3.4e-4 of the half-angle, which moves the falloff by at most 4 times that.
+#[test]
+fn a_tiny_spot_keeps_its_falloff() {
+    let outer = 0.01f64.to_radians();
+    let axis = Vec3::new(0.3, -0.7, 0.5).normalize();
+    let spot = SpotLight::new(Vec3::ZERO, axis, Rgb::WHITE, 0.0, outer);
+    let exact = axis.as_dvec3().normalize();
+    let side = exact.any_orthonormal_vector();
+    for share in [0.0f64, 0.1, 0.5, 0.9, 0.99, 1.01, 2.0] {
+        let a = outer * share;
+        let closed = (1.0 - share * share).max(0.0).powi(2);
+        let x = (exact * a.cos() + side * a.sin()).as_vec3();
+        let e = spot.sample_li(x).map_or(0.0, |l| f64::from(l.radiance.r));
+        assert!((e - closed).abs() < 4.0 * 3.4e-4, "{share}: {e} {closed}");
+    }
+}
+
 /// Mean of the emitted photons' power, and the closed form.
 fn emitted(light: &Light, ctx: &LightContext, count: usize) -> (f64, f64) {
     let mut s = Stream::new(32, Purpose::Test, 0, 0);
