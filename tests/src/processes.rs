@@ -63,12 +63,11 @@ impl Drop for Process {
 /// When it does not start.
 pub fn serve(store: &Path) -> (Process, String) {
     let mut command = Command::new(program("gatherlight"));
-    command.args(["serve", "--listen", "127.0.0.1:0", "--threads", "1", "--json", "--store"]).arg(store);
+    command.args(["serve", "--listen", "127.0.0.1:0", "--threads", "1", "--store"]).arg(store);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
     let mut line = String::new();
     BufReader::new(child.stdout.take().expect("is piped")).read_line(&mut line).expect("says where it listens");
-    let said: serde_json::Value = serde_json::from_str(&line).expect("is JSON");
-    let url = said["listening"].as_str().expect("is a URL").to_owned();
+    let url = line.trim().strip_prefix("listening on ").expect("says where it listens").to_owned();
     (Process(child), url)
 }
 

@@ -62,7 +62,7 @@ impl Bench {
     /// Everything of both phases, by worker A.
     fn run_to_end(&mut self) -> Vec<Command> {
         let mut all = Vec::new();
-        for _ in 0..100 {
+        for _ in 0..300 {
             let open: Vec<_> = self.scheduler.leases().map(|l| (l.worker, l.lease.id.0)).collect();
             let said: Vec<_> = open.iter().flat_map(|&(w, l)| self.complete(w, l)).collect();
             if said.iter().any(|c| matches!(c, Command::BuildMap { .. })) {
@@ -302,7 +302,9 @@ fn when_every_worker_is_set_aside_the_job_fails() {
     assert!([A, B].iter().all(|w| b.scheduler.workers()[w].is_set_aside(JOB, 3)));
     for s in 0..=10 {
         b.now = seconds(s);
-        [A, B].map(|worker| b.event(Event::Heard { worker }));
+        for worker in [A, B] {
+            b.event(Event::Heard { worker });
+        }
         assert!(!last.iter().any(|c| matches!(c, Command::Finish { .. })), "after {s} s");
         last.extend(b.event(Event::Tick));
     }
