@@ -15,7 +15,7 @@ pub(crate) fn finish(film: Film, metadata: &ImageMetadata, keep: KeepImage, stor
         return Err("tiles are missing from the image".into());
     }
     match keep {
-        KeepImage::Film => Ok(Image::Film(film, metadata.clone())),
+        KeepImage::Film => Ok(Image::Film(film, Box::new(metadata.clone()))),
         KeepImage::Exr => {
             let exr = exr::encode(&film, metadata).map_err(|e| e.to_string())?;
             drop(film);

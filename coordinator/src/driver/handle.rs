@@ -157,7 +157,7 @@ pub(crate) struct BuiltMap {
 #[derive(Debug)]
 pub(crate) enum Image {
     /// Kept as it is, for the caller in this process.
-    Film(Film, ImageMetadata),
+    Film(Film, Box<ImageMetadata>),
     /// An EXR file in the store.
     Stored(BlobRef),
 }

@@ -407,7 +407,7 @@ impl Driver {
     fn assembled(&mut self, id: JobId, image: Result<Image, String>) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         match image {
-            Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, metadata)),
+            Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, *metadata)),
             Ok(Image::Stored(blob)) => job.image = Some(blob),
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         }

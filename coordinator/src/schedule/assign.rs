@@ -3,9 +3,9 @@
 use super::job::{Job, Retry, Work};
 use super::policy::Situation;
 use super::{Command, OpenLease, Scheduler};
+use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
-use std::time::Duration;
 
 /// SplitMix64's output function: a seed and a counter to 64 well-mixed bits (Steele, Lea and Flood 2014).
 fn mix(seed: u64, counter: u64) -> u64 {

@@ -1,10 +1,10 @@
 //! What can happen, and what is to be done about it.
 
+use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, MapRef, WorkerId};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, MapKind};
-use std::time::Duration;
 
 /// Something happened.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,11 +10,11 @@
 //! is merged while the next is traced. A method without photons begins with Gathering.
 
 use super::pool::IntervalPool;
+use core::time::Duration;
 use gatherlight_proto::message::{MapRef, Task, WorkerId};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, MapKind};
-use std::time::Duration;
 
 /// What is remembered of indices that came back undone.
 #[derive(Clone, Debug, Default, PartialEq)]

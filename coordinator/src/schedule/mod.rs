@@ -16,12 +16,12 @@ pub mod workers;
 pub use event::{Command, Discarded, Event, Outcome};
 pub use policy::Policy;
 
+use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::photon::EmissionRange;
 use job::{History, Job, Next, Retry};
 use std::collections::{BTreeMap, VecDeque};
-use std::time::Duration;
 use workers::{Worker, Workers};
 
 /// A lease that is out.

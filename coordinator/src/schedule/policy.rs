@@ -1,7 +1,7 @@
 //! How large leases are, and when to give up.
 
+use core::time::Duration;
 use gatherlight_render::job::Phase;
-use std::time::Duration;
 
 /// The scheduler's constants. They change how long a job takes, never its image.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,9 +1,9 @@
 //! The workers that are there.
 
+use core::time::Duration;
 use gatherlight_proto::message::{LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
 
 /// Weight of the latest measurement in a worker's rate.
 const RATE_WEIGHT: f64 = 0.5;
