@@ -67,7 +67,8 @@ pub(super) trait Kernel {
 /// Which implementation to use; all give the same bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Level {
-    /// Arrays of floats.
+    /// Arrays of floats: for other processors, and for tests.
+    #[cfg_attr(all(target_arch = "x86_64", not(test)), allow(dead_code))]
     Portable(Portable),
     /// SSE2, which every x86-64 has.
     #[cfg(target_arch = "x86_64")]

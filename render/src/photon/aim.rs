@@ -235,7 +235,7 @@ fn reach(targets: &[Target], center: Option<Vec3>, scene_radius: f32) -> f64 {
             f64::from(t.weight)
                 * match center {
                     Some(c) => f64::from(one_minus_cos(t, c)),
-                    None => f64::from(t.radius / scene_radius).powi(2),
+                    None => f64::from(t.radius / scene_radius * (t.radius / scene_radius)),
                 }
         })
         .sum()
@@ -312,8 +312,8 @@ fn halves(c: &Cluster) -> Option<(Cluster, Cluster)> {
         return None;
     }
     let (a, b) = (cluster(a, c.target.weight), cluster(b, c.target.weight));
-    let pieces = a.target.radius.powi(2) + b.target.radius.powi(2);
-    (pieces < WORTHWHILE_SPLIT * c.target.radius.powi(2)).then_some((a, b))
+    let section = |c: &Cluster| c.target.radius * c.target.radius;
+    (section(&a) + section(&b) < WORTHWHILE_SPLIT * section(c)).then_some((a, b))
 }
 
 fn cluster(triangles: Vec<[Vec3; 3]>, weight: f32) -> Cluster {

@@ -113,10 +113,11 @@ impl Emission<'_> {
                 Storage::Indirect => met_diffuse,
                 Storage::Caustic => met_other && !met_diffuse,
             };
-            if diffuse && stored {
-                if let Some(photon) = arriving(&point, &bsdf, wo, power) {
-                    sink(&photon);
-                }
+            if diffuse
+                && stored
+                && let Some(photon) = arriving(&point, &bsdf, wo, power)
+            {
+                sink(&photon);
             }
             let lobes = match self.storage {
                 Storage::Caustic => Lobes::GLOSSY.union(Lobes::SPECULAR),

@@ -32,8 +32,20 @@ const RENDER_MODULES: [(&str, &[&str]); 14] = [
 ];
 
 /// What `render` may depend on: no async, no network, no clock, no logging.
-const RENDER_DEPENDENCIES: [&str; 11] =
-    ["base64", "blake3", "bytemuck", "exr", "glam", "gltf", "image", "libm", "obvhs", "rayon", "thiserror"];
+const RENDER_DEPENDENCIES: [&str; 12] = [
+    "base64",
+    "blake3",
+    "bytemuck",
+    "exr",
+    "glam",
+    "image",
+    "libm",
+    "obvhs",
+    "rayon",
+    "serde_json",
+    "thiserror",
+    "zune-jpeg",
+];
 
 /// Packages name each other as ARCHITECTURE.md draws it.
 pub fn packages(source: &Source) -> Vec<Violation> {
