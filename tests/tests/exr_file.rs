@@ -157,7 +157,7 @@ fn damaged_files_give_errors_not_panics() {
             let mut damaged = file.clone();
             for _ in 0..1 + next(&mut state) % 4 {
                 // Mostly the header and the offset table, where the sizes are.
-                let range = if next(&mut state) % 4 == 0 { damaged.len() } else { damaged.len().min(900) };
+                let range = if next(&mut state).is_multiple_of(4) { damaged.len() } else { damaged.len().min(900) };
                 let at = next(&mut state) % range;
                 damaged[at] = [0, 0xff, 0x7f, 0x80, next(&mut state) as u8][next(&mut state) % 5];
             }

@@ -70,10 +70,13 @@ fn stored_power_is_emitted_power_over_absorptance() {
     });
 }
 
+/// Adds lights to a scene.
+type AddLights = fn(&mut SceneMaker);
+
 /// Emission aimed at specular geometry finds the same focused power as blind emission, with far less noise.
 #[test]
 fn aimed_emission_is_unbiased() {
-    let lights: [(&str, fn(&mut SceneMaker)); 4] = [
+    let lights: [(&str, AddLights); 4] = [
         ("area", |s| {
             let lamp = s.material(MaterialDescription::emitter("lamp", Rgb::splat(5.0)));
             s.mesh(quad(Vec3::new(-0.9, 2.9, -0.4), Vec3::X * 0.8, Vec3::Z * 0.8, lamp));

@@ -15,8 +15,8 @@ pub(super) fn photons(n: usize, directions: bool) -> Arrays {
             2 => ([-0.7, u, v], 0xff80),
             _ => ([u * 0.01, -0.9, v * 0.01 + 0.3], 0x80ff),
         };
-        for axis in 0..3 {
-            a.coordinates[axis].push(p[axis]);
+        for (axis, c) in a.coordinates.iter_mut().zip(p) {
+            axis.push(c);
         }
         a.powers.push([0x7f80_8080, 0x7d80_4020, 0x7c00_ff00][i % 3] ^ (s.next_u64() & 0x0003_0303) as u32);
         a.normals.push(normal);

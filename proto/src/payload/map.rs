@@ -1,7 +1,7 @@
 //! Photon maps ↔ bytes: the broadcast of the finished map.
 //!
 //! Layout, little-endian: `GLPM`, version u32, flags u32 (1: with directions, 2: caustic), emitted count u64, photons u64; then
-//! the photons in tree order (see [`super::columns`]). The receiver computes the tree's boxes anew, in linear time, and gets
+//! the photons in tree order (see `columns`). The receiver computes the tree's boxes anew, in linear time, and gets
 //! the very tree that was sent.
 
 use super::columns::{self, Photons, ordered, packed_column};

@@ -1,7 +1,7 @@
 //! Photon batches ↔ bytes.
 //!
 //! Layout, little-endian: `GLPB`, version u32, flags u32 (1: with directions), first path u64, end path u64, photons u64; then
-//! the photons (see [`super::columns`]). Order is kept.
+//! the photons (see `columns`). Order is kept.
 
 use super::columns::{self, Photons, ordered, packed_column};
 use super::header::Reader;

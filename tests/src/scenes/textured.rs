@@ -134,7 +134,7 @@ fn arrow(x: u32, y: u32) -> [u8; 4] {
 
 /// Sixteen clearly different texels.
 fn tiles(x: u32, y: u32) -> [u8; 4] {
-    [(40 + 60 * x) as u8, (40 + 60 * y) as u8, if (x + y) % 2 == 0 { 40 } else { 200 }, 255]
+    [(40 + 60 * x) as u8, (40 + 60 * y) as u8, if (x + y).is_multiple_of(2) { 40 } else { 200 }, 255]
 }
 
 /// Round bosses in relief, 16 of them: normals of spherical caps, (0, 0, 1) between.

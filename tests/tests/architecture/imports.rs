@@ -48,7 +48,7 @@ const RENDER_DEPENDENCIES: [&str; 12] = [
 ];
 
 /// Packages name each other as ARCHITECTURE.md draws it.
-pub fn packages(source: &Source) -> Vec<Violation> {
+pub(crate) fn packages(source: &Source) -> Vec<Violation> {
     let Some(&(package, own, allowed)) = PACKAGES.iter().find(|(p, ..)| source.path.starts_with(&format!("{p}/")))
     else {
         return Vec::new();
@@ -65,7 +65,7 @@ pub fn packages(source: &Source) -> Vec<Violation> {
 }
 
 /// The manifests agree with the import directions, and `render` stays free of async, network, clock and logging.
-pub fn manifests() -> Vec<Violation> {
+pub(crate) fn manifests() -> Vec<Violation> {
     let mut violations = Vec::new();
     for (package, own, allowed) in PACKAGES {
         let path = format!("{package}/Cargo.toml");
@@ -101,7 +101,7 @@ fn dependencies(manifest: &str) -> Vec<(usize, String)> {
 }
 
 /// Only one file of the coordinator's library names the worker's: the one that embeds workers in this process.
-pub fn embedding(sources: &[Source]) -> Vec<Violation> {
+pub(crate) fn embedding(sources: &[Source]) -> Vec<Violation> {
     let naming: Vec<(&Source, usize)> = sources
         .iter()
         .filter(|s| s.path.starts_with("coordinator/src/"))
@@ -116,7 +116,7 @@ pub fn embedding(sources: &[Source]) -> Vec<Violation> {
 
 /// Inside `render`: math ◄ geometry ◄ material, light ◄ scene ◄ photon ◄ integrator; film beside them; import and
 /// export at the edges; job on top.
-pub fn render_modules(source: &Source) -> Vec<Violation> {
+pub(crate) fn render_modules(source: &Source) -> Vec<Violation> {
     let Some(module) = source.path.strip_prefix("render/src/").and_then(module_of) else { return Vec::new() };
     if module == "lib" {
         return Vec::new();
@@ -151,7 +151,7 @@ fn module_of(path: &str) -> Option<&str> {
 }
 
 /// The first two segments of each path that `text` (what follows `crate::`) names.
-pub fn imported(text: &str) -> Vec<String> {
+pub(crate) fn imported(text: &str) -> Vec<String> {
     let Some(group) = text.strip_prefix('{') else {
         let mut segments = text.split("::").map(|s| s.chars().take_while(|&c| is_word_char(c)).collect::<String>());
         let first = segments.next().unwrap_or_default();

@@ -5,14 +5,14 @@ use crate::source::{Source, read, root};
 use std::fs;
 
 /// Longest file in lines.
-pub const MAX_FILE_LINES: usize = 500;
+pub(crate) const MAX_FILE_LINES: usize = 500;
 /// Longest function in lines.
-pub const MAX_FUNCTION_LINES: usize = 70;
+pub(crate) const MAX_FUNCTION_LINES: usize = 70;
 /// Generated code and tables of numbers, which nobody reads from top to bottom.
 const LONG_FILES: [&str; 0] = [];
 
 /// No file is longer than [`MAX_FILE_LINES`].
-pub fn file_length(source: &Source) -> Vec<Violation> {
+pub(crate) fn file_length(source: &Source) -> Vec<Violation> {
     if source.line_count <= MAX_FILE_LINES || LONG_FILES.contains(&source.path.as_str()) {
         return Vec::new();
     }
@@ -24,7 +24,7 @@ pub fn file_length(source: &Source) -> Vec<Violation> {
 }
 
 /// No function is longer than [`MAX_FUNCTION_LINES`].
-pub fn function_length(source: &Source) -> Vec<Violation> {
+pub(crate) fn function_length(source: &Source) -> Vec<Violation> {
     let long = source.functions().into_iter().filter(|f| f.length > MAX_FUNCTION_LINES);
     long.map(|f| Violation {
         path: source.path.clone(),
@@ -38,7 +38,7 @@ pub fn function_length(source: &Source) -> Vec<Violation> {
 }
 
 /// Every package takes its edition, version, licence and lints from the workspace.
-pub fn packages() -> Vec<Violation> {
+pub(crate) fn packages() -> Vec<Violation> {
     let mut violations = Vec::new();
     for package in ["coordinator", "proto", "render", "tests", "worker"] {
         let path = format!("{package}/Cargo.toml");
@@ -57,7 +57,7 @@ pub fn packages() -> Vec<Violation> {
 }
 
 /// Every file in scenes/ is named in scenes/README.md, with its purpose and source.
-pub fn scenes() -> Vec<Violation> {
+pub(crate) fn scenes() -> Vec<Violation> {
     let directory = root().join("scenes");
     if !directory.is_dir() {
         return Vec::new();

@@ -10,13 +10,13 @@ mod source;
 use source::{Source, workspace_sources};
 
 /// A broken rule at a place.
-pub struct Violation {
+pub(crate) struct Violation {
     /// File.
-    pub path: String,
+    pub(crate) path: String,
     /// Line, from 1.
-    pub line: usize,
+    pub(crate) line: usize,
     /// What is wrong and what to do.
-    pub message: String,
+    pub(crate) message: String,
 }
 
 /// A rule reads one source file.

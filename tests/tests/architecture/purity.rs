@@ -50,7 +50,7 @@ const OF_GLAM: [&str; 9] = [
 ];
 
 /// Some libraries are named in one place only.
-pub fn homes(source: &Source) -> Vec<Violation> {
+pub(crate) fn homes(source: &Source) -> Vec<Violation> {
     let mut violations = Vec::new();
     for (library, places, instead) in HOMES {
         if places.iter().any(|place| source.path.starts_with(place)) {
@@ -70,7 +70,7 @@ fn is_pure_part(path: &str) -> bool {
 }
 
 /// `render` and the scheduler know no clock, files, network, async or logging.
-pub fn pure_parts(source: &Source) -> Vec<Violation> {
+pub(crate) fn pure_parts(source: &Source) -> Vec<Violation> {
     if !is_pure_part(&source.path) {
         return Vec::new();
     }
@@ -79,7 +79,7 @@ pub fn pure_parts(source: &Source) -> Vec<Violation> {
 }
 
 /// `render` takes its transcendental functions from math::ops, whose bits are the same on every machine.
-pub fn platform_mathematics(source: &Source) -> Vec<Violation> {
+pub(crate) fn platform_mathematics(source: &Source) -> Vec<Violation> {
     if !source.path.starts_with("render/src/") || source.path == "render/src/math/ops.rs" {
         return Vec::new();
     }

@@ -4,29 +4,29 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A source file of the workspace.
-pub struct Source {
+pub(crate) struct Source {
     /// Path from the workspace's root, with `/`.
-    pub path: String,
+    pub(crate) path: String,
     /// The code with comments and the contents of literals blanked out; the same lines and byte offsets as the file.
-    pub code: String,
+    pub(crate) code: String,
     /// Lines of the file.
-    pub line_count: usize,
+    pub(crate) line_count: usize,
     test_code: Vec<(usize, usize)>,
 }
 
 /// A function: where it is and how long, from its `fn` to its closing brace.
-pub struct Function {
+pub(crate) struct Function {
     /// Name.
-    pub name: String,
+    pub(crate) name: String,
     /// Line of `fn`, from 1.
-    pub line: usize,
+    pub(crate) line: usize,
     /// Lines.
-    pub length: usize,
+    pub(crate) length: usize,
 }
 
 impl Source {
     /// Reads `text` as the file at `path`.
-    pub fn new(path: &str, text: &str) -> Self {
+    pub(crate) fn new(path: &str, text: &str) -> Self {
         let code = blank_comments_and_literals(text);
         let whole = path.contains("/tests/")
             || path.starts_with("tests/")
@@ -38,17 +38,17 @@ impl Source {
     }
 
     /// Line of a byte offset, from 1.
-    pub fn line_at(&self, offset: usize) -> usize {
+    pub(crate) fn line_at(&self, offset: usize) -> usize {
         self.code.as_bytes()[..offset].iter().filter(|&&b| b == b'\n').count() + 1
     }
 
     /// Whether the code at `offset` is compiled for tests only.
-    pub fn is_test(&self, offset: usize) -> bool {
+    pub(crate) fn is_test(&self, offset: usize) -> bool {
         self.test_code.iter().any(|&(begin, end)| (begin..end).contains(&offset))
     }
 
     /// Offsets of `word` in the code, where no letter, digit or underscore continues it on either side.
-    pub fn words<'a>(&'a self, word: &'a str) -> impl Iterator<Item = usize> + 'a {
+    pub(crate) fn words<'a>(&'a self, word: &'a str) -> impl Iterator<Item = usize> + 'a {
         let bytes = self.code.as_bytes();
         let first_joins = word.bytes().next().is_some_and(is_word);
         let last_joins = word.bytes().last().is_some_and(is_word);
@@ -60,12 +60,12 @@ impl Source {
     }
 
     /// Offsets of `word` outside test code.
-    pub fn words_outside_tests<'a>(&'a self, word: &'a str) -> impl Iterator<Item = usize> + 'a {
+    pub(crate) fn words_outside_tests<'a>(&'a self, word: &'a str) -> impl Iterator<Item = usize> + 'a {
         self.words(word).filter(|&offset| !self.is_test(offset))
     }
 
     /// The functions with a body.
-    pub fn functions(&self) -> Vec<Function> {
+    pub(crate) fn functions(&self) -> Vec<Function> {
         let bytes = self.code.as_bytes();
         self.words("fn")
             .filter_map(|offset| {
@@ -81,17 +81,17 @@ impl Source {
 }
 
 /// The workspace's root.
-pub fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
 /// Reads a text file of the workspace.
-pub fn read(path: &str) -> String {
+pub(crate) fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))
 }
 
 /// Every Rust source file of the packages, in order of path.
-pub fn workspace_sources() -> Vec<Source> {
+pub(crate) fn workspace_sources() -> Vec<Source> {
     let mut paths = Vec::new();
     for package in ["coordinator", "proto", "render", "tests", "worker"] {
         collect(&root().join(package), package, &mut paths);
@@ -120,7 +120,7 @@ fn is_word(byte: u8) -> bool {
 }
 
 /// Whether `c` may stand in an identifier.
-pub fn is_word_char(c: char) -> bool {
+pub(crate) fn is_word_char(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
