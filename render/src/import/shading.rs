@@ -57,7 +57,7 @@ pub(super) fn unit(v: Vec3) -> Option<Vec3> {
     unit64(v.as_dvec3())
 }
 
-/// [`unit`] in double precision; no single-precision length over- or underflows.
+/// [`unit()`] in double precision; no single-precision length over- or underflows.
 pub(super) fn unit64(v: DVec3) -> Option<Vec3> {
     let largest = v.abs().max_element();
     if !(largest > 0.0 && largest.is_finite()) {
