@@ -30,12 +30,18 @@ impl Compute {
     pub fn pool(&self) -> &Arc<ThreadPool> {
         &self.pool
     }
-    /// Runs `f` on the pool without waiting. `f` must hand on its result itself; a panic in it is logged.
-    pub fn spawn(&self, f: impl FnOnce() + Send + 'static) {
+    /// Runs `f` on the pool without waiting, then `report` with what came of it: always, even when `f` panics.
+    pub fn spawn<T>(
+        &self,
+        f: impl FnOnce() -> T + Send + 'static,
+        report: impl FnOnce(Result<T, Panicked>) + Send + 'static,
+    ) {
         self.pool.spawn(move || {
-            if let Err(panic) = catch_unwind(AssertUnwindSafe(f)) {
-                tracing::error!(panic = message(&*panic), "a computation panicked");
+            let result = catch_unwind(AssertUnwindSafe(f)).map_err(|panic| Panicked(message(&*panic)));
+            if let Err(error) = &result {
+                tracing::error!(%error);
             }
+            report(result);
         });
     }
     /// Runs `f` on the pool and waits for it without holding an async thread.
@@ -44,10 +50,7 @@ impl Compute {
     /// When `f` panics.
     pub async fn run<T: Send + 'static>(&self, f: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
         let (reply, result) = oneshot::channel();
-        self.pool.spawn(move || {
-            let result = catch_unwind(AssertUnwindSafe(f)).map_err(|panic| Panicked(message(&*panic)));
-            drop(reply.send(result));
-        });
+        self.spawn(f, move |result| drop(reply.send(result)));
         result.await.unwrap_or_else(|_| Err(Panicked("its thread ended".into())))
     }
 }

@@ -63,7 +63,13 @@ impl Coordinator {
     /// # Panics
     /// When it cannot be started.
     pub async fn start_on(address: SocketAddr, directory: &Path, policy: Policy) -> Self {
-        let config = ServeConfig { threads: 1, policy, ..ServeConfig::new(address, directory.to_owned()) };
+        Self::start_with(ServeConfig { threads: 1, policy, ..ServeConfig::new(address, directory.to_owned()) }).await
+    }
+    /// As configured.
+    ///
+    /// # Panics
+    /// When it cannot be started.
+    pub async fn start_with(config: ServeConfig) -> Self {
         let server = Server::bind(config).await.unwrap_or_else(|e| panic!("{e}"));
         let address = server.local_addr();
         let (stop, stopped) = oneshot::channel::<()>();

@@ -3,6 +3,7 @@
 use gatherlight::client::{ClientError, connect, connect_as};
 use gatherlight::embedded;
 use gatherlight::schedule::Policy;
+use gatherlight::server::ServeConfig;
 use gatherlight::types::{JobId, JobState};
 use gatherlight_proto::version::Versions;
 use gatherlight_render::import::SceneBundle;
@@ -139,6 +140,34 @@ async fn a_task_that_fails_everywhere_fails_the_job_with_the_workers_errors() {
     let id = client.submit(&request(&RING, &small_settings()), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
     let JobState::Failed(reason) = final_state(&client, id).await.state else { panic!("did not fail") };
     assert!(reason.contains("disk on fire") || reason.contains("disk under water"), "{reason}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_map_that_does_not_fit_into_a_workers_memory_is_said_so() {
+    let (_store, coordinator) = start(Policy { patience: Duration::from_millis(200), ..small_leases() }).await;
+    let small = WorkerConfig { threads: 1, memory_bytes: 1_000, ..WorkerConfig::new("small") };
+    let _worker = coordinator.worker_with(small);
+    let client = coordinator.client().await;
+    let id = client.submit(&request(&RING, &small_settings()), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
+    let JobState::Failed(reason) = final_state(&client, id).await.state else { panic!("did not fail") };
+    assert!(reason.contains("1000 bytes") && reason.contains("--memory"), "{reason}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn limits_are_refused_with_the_flag_that_raises_them() {
+    let refused = async |change: fn(&mut ServeConfig), flag: &str| {
+        let directory = tempfile::tempdir().expect("a directory");
+        let address = "127.0.0.1:0".parse().expect("an address");
+        let mut config = ServeConfig { threads: 1, ..ServeConfig::new(address, directory.path().to_owned()) };
+        change(&mut config);
+        let coordinator = Coordinator::start_with(config).await;
+        let submitted = coordinator.client().await.submit(&request(&RING, &small_settings()), |_, _| {}).await;
+        let Err(ClientError::Refused(text)) = submitted else { panic!("{submitted:?}") };
+        assert!(text.contains(flag), "{text}");
+    };
+    refused(|c| c.max_store_bytes = 1_000, "--max-store").await;
+    refused(|c| c.max_job_bytes = 1_000, "--max-job-memory").await;
+    refused(|c| c.max_live_jobs = 0, "--max-jobs").await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

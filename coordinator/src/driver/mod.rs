@@ -12,7 +12,7 @@ pub use job::Spec;
 
 pub(crate) use handle::{BuiltMap, Image};
 
-use crate::compute::Compute;
+use crate::compute::{Compute, Panicked};
 use crate::random::random_u64;
 use crate::schedule::{Command, Event, Policy, Scheduler};
 use crate::store::Store;
@@ -360,13 +360,10 @@ impl Driver {
             live.prepared = None;
         }
         let (own, sink) = (self.own.clone(), self.config.map_sink.clone());
-        self.compute.spawn(move || {
-            let built = merge::build(kind, merger, &prepared, sink.as_ref());
-            drop(prepared);
-            if let Some(handle) = Handle::upgrade(&own) {
-                handle.report(Input::MapBuilt(id, built));
-            }
-        });
+        self.compute.spawn(
+            move || merge::build(kind, merger, &prepared, sink.as_ref()),
+            move |built| report(&own, Input::MapBuilt(id, flat(built))),
+        );
         self.refresh(id);
     }
 
@@ -395,12 +392,10 @@ impl Driver {
         let Some(film) = live.film.take() else { return };
         let metadata = job.about.metadata(&job.settings, &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
-        self.compute.spawn(move || {
-            let image = assemble::finish(film, &metadata, keep, &store);
-            if let Some(handle) = Handle::upgrade(&own) {
-                handle.report(Input::Assembled(id, image));
-            }
-        });
+        self.compute.spawn(
+            move || assemble::finish(film, &metadata, keep, &store),
+            move |image| report(&own, Input::Assembled(id, flat(image))),
+        );
         self.refresh(id);
     }
 
@@ -437,4 +432,16 @@ impl Driver {
             job.refresh(now, &self.scheduler);
         }
     }
+}
+
+/// From a compute thread to the driver, if it is still there.
+fn report(own: &mpsc::WeakSender<Input>, input: Input) {
+    if let Some(handle) = Handle::upgrade(own) {
+        handle.report(input);
+    }
+}
+
+/// A panic is a failure like others.
+fn flat<T>(result: Result<Result<T, String>, Panicked>) -> Result<T, String> {
+    result.unwrap_or_else(|panic| Err(panic.to_string()))
 }

@@ -222,6 +222,11 @@ impl Upload {
     pub fn finish(mut self) -> Result<BlobRef, StoreError> {
         let fresh = Checker::new("", 0, "");
         let announced = std::mem::replace(&mut self.checker, fresh).finish()?;
+        let blob = BlobRef { digest: announced.digest, bytes: announced.bytes };
+        if self.store.contains(announced.digest) {
+            // Somebody else was faster; this one's room is given back.
+            return Ok(blob);
+        }
         match std::mem::replace(&mut self.sink, Sink::None) {
             Sink::None | Sink::Known => {}
             Sink::Memory(bytes) => {
@@ -232,7 +237,7 @@ impl Upload {
             Sink::File(file) => file.finish(announced.digest)?,
         }
         self.room = None;
-        Ok(BlobRef { digest: announced.digest, bytes: announced.bytes })
+        Ok(blob)
     }
 }
 

@@ -68,6 +68,21 @@ fn a_full_store_says_so_and_how_to_raise_the_limit() {
 }
 
 #[test]
+fn the_same_blob_uploaded_twice_at_once_counts_once() {
+    let (_guard, store) = on_disk(1 << 30);
+    let bytes = blob(100_000);
+    let begin = || {
+        let mut upload = store.upload();
+        chunks(bytes.clone(), Digest::of(&bytes)).for_each(|c| upload.push(&c).expect("is fine"));
+        upload
+    };
+    let (first, second) = (begin(), begin());
+    first.finish().expect("stores");
+    second.finish().expect("is there already");
+    assert_eq!(store.used_bytes.load(std::sync::atomic::Ordering::Relaxed), 100_000);
+}
+
+#[test]
 fn a_reopened_store_knows_its_blobs_and_finds_damage() {
     let (directory, store) = on_disk(1 << 30);
     let bytes = blob(10_000);

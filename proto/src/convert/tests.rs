@@ -181,3 +181,51 @@ fn job_snapshots_survive() {
         assert_eq!(JobProgress::try_from(wire::Job::from(&p)), Ok(p));
     }
 }
+
+/// Bytes that nobody meant, and good messages with a few bytes changed: refused or understood, never a panic.
+#[test]
+fn noise_never_panics() {
+    fn convert<W: Message + Default, D: TryFrom<W>>(bytes: &[u8]) -> bool {
+        W::decode(bytes).is_ok_and(|wire| D::try_from(wire).is_ok())
+    }
+    let lease = Lease {
+        id: LeaseId(7),
+        attempt: 2,
+        job: JobId(9),
+        range: EmissionRange { first: 3, end: 9 },
+        task: Task::Gather(vec![MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 }]),
+    };
+    let prepare = ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) };
+    let good: Vec<Vec<u8>> = vec![
+        wire::CoordinatorMessage::from(ToWorker::Lease(lease)).encode_to_vec(),
+        wire::CoordinatorMessage::from(prepare).encode_to_vec(),
+        wire::RenderSettings::from(&settings()).encode_to_vec(),
+        wire::SceneManifest::from(&manifest()).encode_to_vec(),
+        Vec::new(),
+    ];
+    let mut state = 1u64;
+    let mut random = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % n
+    };
+    let mut understood = 0;
+    for round in 0..20_000 {
+        let mut bytes = good[round % good.len()].clone();
+        bytes.resize(bytes.len() + random(8), random(256) as u8);
+        for _ in 0..random(4) {
+            let at = random(bytes.len().max(1));
+            bytes.iter_mut().skip(at).take(1).for_each(|b| *b = random(256) as u8);
+        }
+        let all = [
+            convert::<wire::CoordinatorMessage, ToWorker>(&bytes),
+            convert::<wire::WorkerMessage, FromWorker>(&bytes),
+            convert::<wire::RenderSettings, RenderSettings>(&bytes),
+            convert::<wire::SceneManifest, SceneManifest>(&bytes),
+            convert::<wire::DeliverHeader, DeliverHeader>(&bytes),
+            convert::<wire::Job, JobProgress>(&bytes),
+        ];
+        understood += usize::from(all.contains(&true));
+    }
+    // Some are still understood: the noise is not so strong that only the first check is tested.
+    assert!(understood > 1_000 && understood < 20_000, "{understood}");
+}
