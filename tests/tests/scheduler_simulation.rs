@@ -56,7 +56,7 @@ fn a_thousand_workers_keep_busy() {
     let conditions = Conditions { workers: 1_000, paths: 1_000_000_000, tiles: 130_000, jobs: 1, ..Conditions::fair() };
     let report = simulate(1, &conditions);
     assert_eq!(report.retried, 0);
-    // About a minute of work. Speeds differ by a factor of 16, workers join over two seconds, and each of the three phases
-    // ends with shrinking leases and a build: a few seconds of idling in all.
+    // Half a minute of work, of which 7 % is idle: speeds differ by a factor of 16, workers join over two seconds, and each
+    // of the three phases ends with shrinking leases and a build.
     assert!(report.idle_fraction < 0.2, "idle {:.3}, {:?}", report.idle_fraction, report);
 }
