@@ -13,8 +13,18 @@ use crate::settings::{Layer, Method, RenderSettings};
 
 /// Photon paths traced to estimate how many photons a map will hold.
 const PILOT_PATHS: u64 = 4096;
-/// What a process holds besides scene, maps and film: code, allocator, network buffers.
-const PROCESS_BYTES: u64 = 24 << 20;
+/// What a process holds besides scene, maps and film: code, threads, network buffers.
+const PROCESS_BYTES: u64 = 11 << 20;
+/// Peak per triangle while a scene is read and its acceleration structure built.
+const SCENE_BYTES_PER_TRIANGLE: u64 = 880;
+/// A photon in a batch: position, power, normal.
+const BATCH_BYTES_PER_PHOTON: u64 = 18;
+/// Peak per photon while one map is merged, built and encoded.
+const BUILD_BYTES_PER_PHOTON: u64 = 62;
+/// An encoded photon.
+const ENCODED_BYTES_PER_PHOTON: u64 = 10;
+/// The image, and what its encoding holds besides, in films.
+const FILM_COPIES: f64 = 3.4;
 
 /// One thing the image needs or does not.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,27 +108,29 @@ impl Plan {
         plan
     }
 
+    /// Sums what the phases hold at once; the constants are peaks measured on single maps, films and meshes, and
+    /// `tests/tests/memory.rs` holds the sum against a whole process.
     fn predict_memory(&mut self, scene: &Scene, settings: &RenderSettings) {
         let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
-        let photons = stored(&self.global) + stored(&self.caustic);
-        let map = PhotonMap::memory_bytes_for(photons as usize, false);
-        let cache = if settings.final_gather > 0 { 4 * stored(&self.global) } else { 0 };
+        let (global, caustic) = (stored(&self.global), stored(&self.caustic));
+        let photons = global + caustic;
+        let cache = if settings.final_gather > 0 { 4 * global } else { 0 };
+        let maps = PhotonMap::memory_bytes_for(photons as usize, false) + cache;
         let channels = ChannelSet::new(&settings.layers).len() as u64;
-        let film = u64::from(settings.width) * u64::from(settings.height) * channels * 4;
-        let scene_bytes = scene.memory_bytes() as u64;
-        // Encoded once for the broadcast; the film is held once more while the file is encoded.
+        let pixels = u64::from(settings.width) * u64::from(settings.height);
+        let film = (FILM_COPIES * (pixels * channels * 4) as f64) as u64;
+        let triangles: u64 = scene.meshes.iter().map(|m| m.triangles.len() as u64).sum();
+        let base = PROCESS_BYTES + triangles * SCENE_BYTES_PER_TRIANGLE + scene.textures.memory_bytes() as u64;
         let encoded = photons * ENCODED_BYTES_PER_PHOTON;
+        // One map is built while the batches of the other wait.
+        let larger = global.max(caustic);
+        let building = larger * BUILD_BYTES_PER_PHOTON + (photons - larger) * BATCH_BYTES_PER_PHOTON;
         self.broadcast_bytes = encoded;
-        self.worker_bytes = PROCESS_BYTES + scene_bytes + map + cache + encoded;
-        self.coordinator_bytes = PROCESS_BYTES + scene_bytes + 2 * photons * RAW_BYTES_PER_PHOTON + encoded + 2 * film;
-        self.single_process_bytes = PROCESS_BYTES + scene_bytes + 2 * map + cache + encoded + 2 * film;
+        self.worker_bytes = base + maps + encoded;
+        self.coordinator_bytes = base + building.max(encoded) + film;
+        self.single_process_bytes = base + building.max(maps + encoded) + film;
     }
 }
-
-/// Position, power and normal as a batch holds them.
-const RAW_BYTES_PER_PHOTON: u64 = 18;
-/// Expected size of an encoded photon.
-const ENCODED_BYTES_PER_PHOTON: u64 = 14;
 
 fn plural(n: usize) -> &'static str {
     if n == 1 { "" } else { "s" }

@@ -1,0 +1,72 @@
+//! The plan states a job's peak memory beforehand, and it holds within a quarter.
+#![cfg(target_os = "linux")]
+
+use gatherlight_tests::processes::program;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+fn scene(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes").join(name)
+}
+
+/// What `gatherlight plan` states for one process, in bytes.
+fn stated(scene_file: &Path, arguments: &[&str]) -> u64 {
+    let output = Command::new(program("gatherlight"))
+        .arg("plan")
+        .arg(scene_file)
+        .args(arguments)
+        .arg("--json")
+        .output()
+        .expect("the program starts");
+    let plan: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    plan["plan"]["single_process_bytes"]
+        .as_u64()
+        .unwrap_or_else(|| panic!("no plan.single_process_bytes in {plan}"))
+}
+
+/// The most resident memory that `gatherlight render` ever had, in bytes: the kernel's high-water mark, read until the
+/// process ends.
+fn used(scene_file: &Path, arguments: &[&str]) -> u64 {
+    let directory = tempfile::tempdir().expect("a directory");
+    let mut child = Command::new(program("gatherlight"))
+        .arg("render")
+        .arg(scene_file)
+        .arg("-o")
+        .arg(directory.path().join("image.exr"))
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak = 0;
+    while child.try_wait().expect("a child").is_none() {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let kib = text.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse().ok());
+        peak = kib.map_or(peak, |k: u64| k * 1024);
+        std::thread::sleep(Duration::from_millis(3));
+    }
+    assert!(child.wait().expect("a child").success());
+    peak
+}
+
+fn check(name: &str, arguments: &[&str]) {
+    let file = scene(name);
+    let (stated, used) = (stated(&file, arguments), used(&file, arguments));
+    let ratio = used as f64 / stated as f64;
+    println!("{name} {arguments:?}: stated {} MiB, used {} MiB ({ratio:.2})", stated >> 20, used >> 20);
+    assert!((0.75..=1.25).contains(&ratio), "{name}: stated {stated} bytes, used {used} ({ratio:.2} of it)");
+}
+
+#[test]
+fn a_job_of_photons_takes_what_the_plan_states() {
+    let tiny = ["--width", "16", "--samples", "1"];
+    check("cornell-diffuse.glb", &[&tiny[..], &["--photons", "2M"]].concat());
+    check("cornell-caustic.glb", &[&tiny[..], &["--photons", "1M", "--caustic-photons", "2M"]].concat());
+}
+
+#[test]
+fn a_job_of_pixels_takes_what_the_plan_states() {
+    check("cornell-diffuse.glb", &["--method", "path", "--width", "1536", "--samples", "1"]);
+}
