@@ -74,6 +74,6 @@ for container in $(compose ps -q); do
     [ "$user" = gatherlight ] || { echo "container $container runs as '$user'" >&2; exit 1; }
 done
 running() { compose ps -q | xargs docker inspect --format '{{.State.Running}} {{.State.Health.Status}}' | grep true; }
-all_healthy() { ! running | grep -qv healthy; }
+all_healthy() { [ "$(running | sort -u)" = "true healthy" ]; }
 wait_for 60 "healthy containers" all_healthy
 docker images --format '{{.Repository}} {{.Size}}' | grep -E '^gatherlight(-worker)? ' | sort -u
