@@ -20,9 +20,7 @@ fn stated(scene_file: &Path, arguments: &[&str]) -> u64 {
         .output()
         .expect("the program starts");
     let plan: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    plan["plan"]["single_process_bytes"]
-        .as_u64()
-        .unwrap_or_else(|| panic!("no plan.single_process_bytes in {plan}"))
+    plan["plan"]["single_process_bytes"].as_u64().unwrap_or_else(|| panic!("no plan.single_process_bytes in {plan}"))
 }
 
 /// The most resident memory that `gatherlight render` ever had, in bytes: the kernel's high-water mark, read until the
