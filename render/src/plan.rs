@@ -16,11 +16,11 @@ const PILOT_PATHS: u64 = 4096;
 /// What a process holds besides scene, maps and film: code, threads, network buffers.
 const PROCESS_BYTES: u64 = 11 << 20;
 /// Peak per triangle while a scene is read and its acceleration structure built.
-const SCENE_BYTES_PER_TRIANGLE: u64 = 880;
-/// A photon in a batch: position, power, normal.
-const BATCH_BYTES_PER_PHOTON: u64 = 18;
+const SCENE_BYTES_PER_TRIANGLE: u64 = 340;
+/// A photon of the other map meanwhile: its batches, or its encoded form with what the allocator keeps of them.
+const WAITING_BYTES_PER_PHOTON: u64 = 40;
 /// Peak per photon while one map is merged, built and encoded.
-const BUILD_BYTES_PER_PHOTON: u64 = 62;
+const BUILD_BYTES_PER_PHOTON: u64 = 74;
 /// An encoded photon.
 const ENCODED_BYTES_PER_PHOTON: u64 = 10;
 /// The image, and what its encoding holds besides, in films.
@@ -124,7 +124,7 @@ impl Plan {
         let encoded = photons * ENCODED_BYTES_PER_PHOTON;
         // One map is built while the batches of the other wait.
         let larger = global.max(caustic);
-        let building = larger * BUILD_BYTES_PER_PHOTON + (photons - larger) * BATCH_BYTES_PER_PHOTON;
+        let building = larger * BUILD_BYTES_PER_PHOTON + (photons - larger) * WAITING_BYTES_PER_PHOTON;
         self.broadcast_bytes = encoded;
         self.worker_bytes = base + maps + encoded;
         self.coordinator_bytes = base + building.max(encoded) + film;
