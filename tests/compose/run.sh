@@ -8,7 +8,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 gatherlight=$(realpath "$1")
 
-PORT=17420
+PORT=$((20000 + $$ % 10000))
 UP_TIMEOUT_S=120
 JOB_TIMEOUT_S=300
 SETTINGS=(scenes/cornell-caustic.glb --width 192 --samples 128 --photons 200k --caustic-photons 200k --seed 7)
@@ -48,7 +48,7 @@ wait_for() {
     done
 }
 workers_are() { [ "$("$gatherlight" workers --json | grep -o '"name"' | wc -l)" -eq "$1" ]; }
-gathering() { "$gatherlight" jobs --json | grep -q '"state": *"gather"'; }
+gathering() { "$gatherlight" jobs --json | grep '"state": *"gather"' >/dev/null; }
 
 compose config --quiet
 compose up -d --no-build --scale worker=3
@@ -58,7 +58,7 @@ wait_for "$UP_TIMEOUT_S" "three workers" workers_are 3
 "$gatherlight" submit "${SETTINGS[@]}" -o "$work/cluster.exr" >"$work/submit.log" 2>&1 &
 submitted=$!
 wait_for "$JOB_TIMEOUT_S" "gather phase" gathering
-victim=$(compose ps -q worker | head -n 1)
+victim=$(compose ps -q worker | sed -n 1p)
 docker kill --signal KILL "$victim" >/dev/null
 echo "killed one of three workers while it gathered"
 wait_for 30 "loss of the worker" workers_are 2
