@@ -16,4 +16,4 @@ pub use accelerator::Accelerator;
 pub use bounds::Bounds;
 pub use mesh::{Instance, Mesh, Transform};
 pub use ray::{Hit, Ray};
-pub use surface::SurfacePoint;
+pub use surface::{SurfacePoint, offset_origin};

@@ -85,22 +85,25 @@ impl SurfacePoint {
     /// `direction`, by the bound on the position's rounding error (pbrt 4th ed., §6.8.6), never by a constant.
     #[inline]
     pub fn spawn(&self, direction: Vec3) -> Vec3 {
-        let d = self.ng.abs().dot(self.error);
-        let side = if direction.dot(self.ng) < 0.0 { -1.0 } else { 1.0 };
-        let offset = self.ng * (d * side);
-        let p = self.position + offset;
-        // Round away from the surface, so that the sum's own rounding cannot undo the offset.
-        let away = |p: f32, o: f32| {
-            if o > 0.0 {
-                p.next_up()
-            } else if o < 0.0 {
-                p.next_down()
-            } else {
-                p
-            }
-        };
-        Vec3::new(away(p.x, offset.x), away(p.y, offset.y), away(p.z, offset.z))
+        offset_origin(self.position, self.error, self.ng, direction)
     }
+}
+
+/// `position` moved along the unit `normal`, to the side of `direction`, by the bound `error` on its rounding error per axis
+/// (pbrt 4th ed., §6.8.6): the origin of a ray that leaves a surface there.
+#[inline]
+pub fn offset_origin(position: Vec3, error: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
+    let d = normal.abs().dot(error);
+    let side = if direction.dot(normal) < 0.0 { -1.0 } else { 1.0 };
+    let offset = normal * (d * side);
+    let p = position + offset;
+    // Round away from the surface, so that the sum's own rounding cannot undo the offset.
+    let away = |p: f32, o: f32| match o {
+        o if o > 0.0 => p.next_up(),
+        o if o < 0.0 => p.next_down(),
+        _ => p,
+    };
+    Vec3::new(away(p.x, offset.x), away(p.y, offset.y), away(p.z, offset.z))
 }
 
 #[inline]

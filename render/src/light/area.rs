@@ -1,7 +1,8 @@
 //! Emissive triangles.
 
 use super::spherical_triangle::SphericalTriangle;
-use super::{EmissionPoint, EmissionSample, LightContext, LightLiSample, offset};
+use super::{EmissionPoint, EmissionSample, LightContext, LightLiSample};
+use crate::geometry::offset_origin;
 use crate::math::ops::{INV_PI, PI};
 use crate::math::warp::{cosine_hemisphere, triangle};
 use crate::math::{Frame, Rgb};
@@ -165,7 +166,7 @@ impl AreaLight {
             None => triangle(u),
         };
         let (position, error) = self.position(b);
-        let shadow_target = offset(position, error, self.normal, from - position);
+        let shadow_target = offset_origin(position, error, self.normal, from - position);
         let d = position - from;
         let distance = d.length();
         if distance == 0.0 {

@@ -13,6 +13,7 @@ pub use area::{AreaLight, EmissiveTriangle};
 pub use lights::{LightSelector, Lights};
 pub use punctual::{DirectionalLight, PointLight, SpotLight};
 
+use crate::geometry::offset_origin;
 use crate::material::{Material, Textures};
 use crate::math::Rgb;
 use glam::Vec3;
@@ -185,22 +186,8 @@ impl EmissionPoint {
     /// Start of a ray along `direction`, off the surface by the bound on the rounding error.
     #[inline]
     pub fn spawn(&self, direction: Vec3) -> Vec3 {
-        self.normal.map_or(self.position, |n| offset(self.position, self.error, n, direction))
+        self.normal.map_or(self.position, |n| offset_origin(self.position, self.error, n, direction))
     }
-}
-
-/// `position` moved off its surface to the side of `direction` by the bound on its rounding error (pbrt 4th ed. §6.8.6).
-#[inline]
-pub(crate) fn offset(position: Vec3, error: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
-    let d = normal.abs().dot(error);
-    let o = if direction.dot(normal) < 0.0 { -normal * d } else { normal * d };
-    let p = position + o;
-    let away = |p: f32, o: f32| match o {
-        o if o > 0.0 => p.next_up(),
-        o if o < 0.0 => p.next_down(),
-        _ => p,
-    };
-    Vec3::new(away(p.x, o.x), away(p.y, o.y), away(p.z, o.z))
 }
 
 #[cfg(test)]
