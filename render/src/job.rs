@@ -4,10 +4,10 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{ChannelSet, Tile, TileGrid};
+use crate::film::{ChannelSet, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
-use crate::integrator::{path, tile};
+use crate::integrator::{Bootstrap, path, tile};
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
 use crate::photon::trace::{Emission, Storage};
@@ -15,21 +15,38 @@ use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
 use crate::settings::{Method, RenderSettings};
+use std::sync::Arc;
 
 pub use crate::photon::map::{PhotonMap, PhotonMaps};
 
 /// One phase of a job, in the order of [`PreparedJob::phases`]. Work units of a phase are numbered from 0.
+///
+/// A gather phase needs the maps of its own round; a splat phase needs the bootstrap, where there is one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Emit photon paths 0 … `paths` for `map`; then merge and broadcast the map.
     Emission {
+        /// The round, from 0.
+        round: u32,
         /// The map they are for.
         map: MapKind,
         /// Number of paths.
         paths: u64,
     },
+    /// Trace bootstrap paths 0 … `paths`; then join their luminances and broadcast them.
+    Bootstrap {
+        /// Number of paths.
+        paths: u64,
+    },
+    /// Compute units 0 … `units` that splat onto the light image: Markov chains, or whole rounds.
+    Splat {
+        /// Number of units.
+        units: u64,
+    },
     /// Render tiles 0 … `tiles`.
     Gather {
+        /// The round, from 0.
+        round: u32,
         /// Number of tiles.
         tiles: u32,
     },
@@ -39,10 +56,27 @@ impl Phase {
     /// Number of work units.
     pub fn units(&self) -> u64 {
         match *self {
-            Phase::Emission { paths, .. } => paths,
-            Phase::Gather { tiles } => u64::from(tiles),
+            Phase::Emission { paths, .. } | Phase::Bootstrap { paths } => paths,
+            Phase::Splat { units } => units,
+            Phase::Gather { tiles, .. } => u64::from(tiles),
         }
     }
+    /// The round it belongs to.
+    pub fn round(&self) -> u32 {
+        match *self {
+            Phase::Emission { round, .. } | Phase::Gather { round, .. } => round,
+            Phase::Bootstrap { .. } | Phase::Splat { .. } => 0,
+        }
+    }
+}
+
+/// What a gather or splat phase reads that earlier phases made.
+#[derive(Clone, Debug, Default)]
+pub struct Inputs {
+    /// The photon maps of the round.
+    pub maps: PhotonMaps,
+    /// The bootstrap of the Markov chains.
+    pub bootstrap: Option<Arc<Bootstrap>>,
 }
 
 /// Why a job cannot start.
@@ -129,14 +163,35 @@ impl PreparedJob {
         !self.scene.lights.is_empty()
     }
 
-    /// What has to be done, in order. The last phase is always the gather pass.
+    /// What has to be done, in order. The last phase is always a gather or splat phase.
     pub fn phases(&self) -> Vec<Phase> {
-        let emission = |map, e: &Option<EmissionPlan>| e.map(|e| Phase::Emission { map, paths: e.paths });
-        [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
-            .into_iter()
-            .flatten()
-            .chain([Phase::Gather { tiles: self.grid().len() }])
-            .collect()
+        let tiles = self.grid().len();
+        let round = |round| {
+            let emission = move |map, e: &Option<EmissionPlan>| {
+                e.map(|e| Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
+            };
+            [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
+                .into_iter()
+                .flatten()
+                .chain([Phase::Gather { round, tiles }])
+        };
+        (0..self.rounds()).flat_map(round).collect()
+    }
+    /// Number of rounds whose tiles the image is the mean of, ≥ 1.
+    pub fn rounds(&self) -> u32 {
+        if self.settings.method.has_rounds() { self.settings.rounds } else { 1 }
+    }
+    fn paths_of_round(&self, total: u64, round: u32) -> u64 {
+        if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
+    }
+    /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
+    pub fn light_image(&self) -> Option<LightImage> {
+        None
+    }
+    /// The factor on the light image's sums in the finished image, once `units` units of the splat phase (of which there may be
+    /// none) or `rounds` rounds of the gather phase are done.
+    pub fn light_scale(&self, _inputs: &Inputs, _rounds: u32, _units: u64) -> f64 {
+        1.0
     }
     /// The tiles of the image.
     pub fn grid(&self) -> TileGrid {
@@ -151,15 +206,23 @@ impl PreparedJob {
         false
     }
 
-    /// Traces the photon paths of `range`, in parallel on the current rayon pool.
-    pub fn emit(&self, map: MapKind, range: EmissionRange) -> PhotonBatch {
+    /// Traces the photon paths of `range` of `round`, in parallel on the current rayon pool.
+    pub fn emit(&self, round: u32, map: MapKind, range: EmissionRange) -> PhotonBatch {
         let (storage, aim) = match map {
             MapKind::Global => (self.plan.global.map_or(Storage::All, |g| g.storage), None),
             MapKind::Caustic => (Storage::Caustic, self.aim.as_ref()),
         };
         let (scene, seed) = (&self.scene, self.settings.seed);
-        Emission { scene, kind: map, storage, seed, round: 0, aim }.trace(range)
+        Emission { scene, kind: map, storage, seed, round, aim }.trace(range)
     }
+
+    /// Luminances of the bootstrap paths of `range`, in order, in parallel on the current rayon pool.
+    pub fn bootstrap(&self, range: EmissionRange) -> Vec<f32> {
+        vec![0.0; range.len() as usize]
+    }
+
+    /// Computes units `range` of the splat phase, in parallel on the current rayon pool, and adds them to `light`.
+    pub fn splat(&self, _inputs: &Inputs, _range: EmissionRange, _light: &mut LightImage) {}
 
     /// Builds the search structure over merged photons (`merged.range` = [0, emitted)), in parallel on the current
     /// rayon pool.
@@ -173,21 +236,25 @@ impl PreparedJob {
         space.length_to_world(photon_map::gather_radius(&self.settings, map, space)) as f32
     }
 
-    /// Renders tile `index`, on the current thread.
-    pub fn gather(&self, maps: &PhotonMaps, index: u32) -> Tile {
+    /// Renders tile `index` of `round`, on the current thread; what lands elsewhere in the image is added to `light`, which
+    /// is there where [`PreparedJob::light_image`] says so.
+    pub fn gather(&self, inputs: &Inputs, round: u32, index: u32, light: Option<&mut LightImage>) -> Tile {
         let Some(rect) = self.grid().rect(index) else {
             return Tile { index, pixels: Vec::new(), non_finite: 0, rays: 0 };
         };
         let (settings, scene, camera) = (&self.settings, &self.scene, &self.camera);
+        let maps = &inputs.maps;
+        // Nothing built so far has more than one round, or splats.
+        let (_, _) = (round, light);
         match settings.method {
-            Method::Path => tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| {
-                path::trace(scene, ray, settings.max_depth, sampler)
-            }),
             Method::Photon => {
                 let gather = GatherSettings::new(settings, maps, &scene.space);
                 let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| pass.trace(ray, sampler))
             }
+            _ => tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| {
+                path::trace(scene, ray, settings.max_depth, sampler)
+            }),
         }
     }
 }

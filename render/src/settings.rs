@@ -12,28 +12,77 @@ pub const MAX_PHOTONS: u64 = 1 << 40;
 pub const MAX_SAMPLES: u32 = 1 << 24;
 /// Largest number of neighbours in one density estimate.
 pub const MAX_K: u32 = 100_000;
+/// Largest number of rounds.
+pub const MAX_ROUNDS: u32 = 65_536;
+/// Largest number of Markov chains.
+pub const MAX_CHAINS: u32 = 1 << 24;
+/// Largest number of mutations per pixel.
+pub const MAX_MUTATIONS: u32 = 1 << 24;
+/// Largest number of bootstrap paths.
+pub const MAX_BOOTSTRAP: u64 = 1 << 26;
 /// Largest number of final-gather rays per camera sample.
 pub const MAX_FINAL_GATHER: u32 = 65_536;
 /// Side of a square tile in pixels; edge tiles are cropped.
 pub const TILE_SIZE: u32 = 16;
 
 /// The way light transport is computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Method {
-    /// Photon mapping: emission, merge, gather (Jensen 1996, 2001).
-    Photon,
+    /// Direct light, mirrors and glass (Whitted 1980): a preview.
+    Whitted,
     /// Path tracing with next-event estimation and MIS (Kajiya 1986; Veach 1997).
     Path,
+    /// Bidirectional path tracing (Lafortune and Willems 1993; Veach and Guibas 1994).
+    Bdpt,
+    /// Metropolis light transport (Veach and Guibas 1997; Kelemen et al. 2002; Hachisuka et al. 2014).
+    Mlt,
+    /// Photon mapping: emission, merge, gather (Jensen 1996, 2001).
+    Photon,
+    /// Progressive photon mapping (Hachisuka et al. 2008; Knaus and Zwicker 2011).
+    Progressive,
+    /// Vertex connection and merging (Georgiev et al. 2012; Hachisuka et al. 2012).
+    Vcm,
 }
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 2] = [Method::Photon, Method::Path];
+    pub const ALL: [Method; 2] = [Method::Path, Method::Photon];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
-            Method::Photon => "photon",
+            Method::Whitted => "whitted",
             Method::Path => "path",
+            Method::Bdpt => "bdpt",
+            Method::Mlt => "mlt",
+            Method::Photon => "photon",
+            Method::Progressive => "progressive",
+            Method::Vcm => "vcm",
+        }
+    }
+    /// Whether the image is the mean over rounds of one camera sample a pixel each, rather than over samples.
+    pub const fn has_rounds(self) -> bool {
+        matches!(self, Method::Progressive | Method::Vcm)
+    }
+}
+
+/// Where the photons or light vertices of a round come together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Merge {
+    /// One map of all workers' photons a round.
+    #[default]
+    Shared,
+    /// Each round is computed whole by one worker, and only images travel (Knaus and Zwicker 2011, §6).
+    Independent,
+}
+
+impl Merge {
+    /// Both, in the order help texts name them.
+    pub const ALL: [Merge; 2] = [Merge::Shared, Merge::Independent];
+    /// Name on the command line and in headers.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Merge::Shared => "shared",
+            Merge::Independent => "independent",
         }
     }
 }
@@ -164,6 +213,22 @@ pub struct RenderSettings {
     pub estimator: Estimator,
     /// Kernel of the density estimate.
     pub kernel: Kernel,
+    /// Look at all light in the photon maps, direct light too, instead of estimating it: the seeds' plain estimate.
+    pub direct_from_map: bool,
+    /// Rounds of `progressive` and `vcm`, ≥ 1; `photons` and `caustic_photons` are their total over all rounds.
+    pub rounds: u32,
+    /// Exponent α of the radius, rᵢ₊₁² = rᵢ² (i + α)/(i + 1), in (0, 1) (Knaus and Zwicker 2011, eq. 20).
+    pub radius_alpha: f32,
+    /// Where the photons of a round come together.
+    pub merge: Merge,
+    /// Markov chains of `mlt`, ≥ 1.
+    pub chains: u32,
+    /// Mean number of mutations per pixel of `mlt`, ≥ 1.
+    pub mutations: u32,
+    /// Bootstrap paths of `mlt` per path length, ≥ 1.
+    pub bootstrap: u64,
+    /// Probability of a large step of `mlt`, in (0, 1].
+    pub large_step: f32,
     /// Extra layers, sorted, without duplicates.
     pub layers: Vec<Layer>,
 }
@@ -185,6 +250,14 @@ impl Default for RenderSettings {
             final_gather: 4,
             estimator: Estimator::KdTree,
             kernel: Kernel::Constant,
+            direct_from_map: false,
+            rounds: 64,
+            radius_alpha: 2.0 / 3.0,
+            merge: Merge::Shared,
+            chains: 1024,
+            mutations: 64,
+            bootstrap: 65_536,
+            large_step: 0.3,
             layers: Vec::new(),
         }
     }
@@ -197,6 +270,9 @@ impl RenderSettings {
     /// Names the first setting that makes no sense, and what is valid.
     pub fn validate(&self) -> Result<(), SettingsError> {
         let bad = |setting, message: String| Err(SettingsError { setting, message });
+        if !Method::ALL.contains(&self.method) {
+            return bad("method", format!("{} is not built yet", self.method.name()));
+        }
         for (setting, v) in [("width", self.width), ("height", self.height)] {
             if v == 0 || v > MAX_IMAGE_SIDE {
                 return bad(setting, format!("{v} is outside 1 … {MAX_IMAGE_SIDE} pixels"));
@@ -223,6 +299,13 @@ impl RenderSettings {
         if self.max_radius.is_some_and(|r| !(r.is_finite() && r > 0.0)) {
             return bad("max-radius", "must be a finite length above 0, in the scene's units".into());
         }
+        if self.rounds == 0 || self.rounds > MAX_ROUNDS {
+            return bad("rounds", format!("{} is outside 1 … {MAX_ROUNDS}", self.rounds));
+        }
+        if !(self.radius_alpha > 0.0 && self.radius_alpha < 1.0) {
+            return bad("radius-alpha", format!("{} is not between 0 and 1", self.radius_alpha));
+        }
+        self.validate_chains()?;
         if self.max_depth == Some(0) {
             return bad("max-depth", "must be at least 1 (1 shows only emission seen directly)".into());
         }
@@ -230,5 +313,29 @@ impl RenderSettings {
             return bad("layers", "each layer may be named once".into());
         }
         Ok(())
+    }
+
+    /// Checks what `mlt` uses.
+    fn validate_chains(&self) -> Result<(), SettingsError> {
+        let bad = |setting, message: String| Err(SettingsError { setting, message });
+        if self.chains == 0 || self.chains > MAX_CHAINS {
+            return bad("chains", format!("{} is outside 1 … {MAX_CHAINS}", self.chains));
+        }
+        if self.mutations == 0 || self.mutations > MAX_MUTATIONS {
+            return bad("mutations", format!("{} is outside 1 … {MAX_MUTATIONS}", self.mutations));
+        }
+        if self.bootstrap == 0 || self.bootstrap > MAX_BOOTSTRAP {
+            return bad("bootstrap", format!("{} is outside 1 … {MAX_BOOTSTRAP}", self.bootstrap));
+        }
+        if !(self.large_step > 0.0 && self.large_step <= 1.0) {
+            return bad("large-step", format!("{} is not above 0 and at most 1", self.large_step));
+        }
+        Ok(())
+    }
+
+    /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.
+    pub fn share_of_round(&self, total: u64, round: u32) -> u64 {
+        let upto = |r: u32| (u128::from(total) * u128::from(r) / u128::from(self.rounds.max(1))) as u64;
+        upto(round + 1) - upto(round)
     }
 }

@@ -215,8 +215,12 @@ impl World<'_> {
             let paths = |r: &mut Random, most| r.below(most) + most / 8;
             let (global, caustic) = (paths(&mut self.random, self.conditions.paths), self.conditions.paths / 3);
             let tiles = self.random.below(u64::from(self.conditions.tiles)) as u32 + self.conditions.tiles / 4 + 1;
-            let emission = |map, paths| Phase::Emission { map, paths };
-            let all = [emission(MapKind::Global, global), emission(MapKind::Caustic, caustic), Phase::Gather { tiles }];
+            let emission = |map, paths| Phase::Emission { round: 0, map, paths };
+            let all = [
+                emission(MapKind::Global, global),
+                emission(MapKind::Caustic, caustic),
+                Phase::Gather { round: 0, tiles },
+            ];
             // With both maps, with one, or without photons.
             let skip = if self.conditions.jobs == 1 { 0 } else { self.random.below(3) as usize };
             self.phases.push(all[skip..].to_vec());
@@ -417,8 +421,8 @@ impl World<'_> {
 
     fn assert_complete(&self, job: JobId, kind: Option<MapKind>) {
         let wanted = self.phases[job.0 as usize].iter().find_map(|p| match (p, kind) {
-            (Phase::Emission { map, paths }, Some(kind)) if *map == kind => Some(*paths),
-            (Phase::Gather { tiles }, None) => Some(u64::from(*tiles)),
+            (Phase::Emission { map, paths, .. }, Some(kind)) if *map == kind => Some(*paths),
+            (Phase::Gather { tiles, .. }, None) => Some(u64::from(*tiles)),
             _ => None,
         });
         let counted = self.counted.get(&(job, kind)).map_or(0, Counted::total);

@@ -1,7 +1,8 @@
 //! One job computed straight through its phases, without a cluster.
 
-use gatherlight_render::film::Film;
-use gatherlight_render::job::{Phase, PhotonMaps, PreparedJob};
+use gatherlight_render::film::{Accumulator, Film};
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Inputs, Phase, PhotonMaps, PreparedJob};
 use gatherlight_render::math::Rgb;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::scene::SceneDigest;
@@ -16,12 +17,14 @@ pub fn prepare(description: SceneDescription, settings: &RenderSettings) -> Prep
         .unwrap_or_else(|e| panic!("the scene does not build: {e}"))
 }
 
-/// Emits and builds all maps of `job`.
-pub fn maps(job: &PreparedJob) -> PhotonMaps {
+/// Emits and builds the maps of one round of `job`.
+pub fn maps(job: &PreparedJob, round: u32) -> PhotonMaps {
     let mut maps = PhotonMaps::default();
     for phase in job.phases() {
-        if let Phase::Emission { map, paths } = phase {
-            let batch = job.emit(map, EmissionRange { first: 0, end: paths });
+        if let Phase::Emission { round: r, map, paths } = phase
+            && r == round
+        {
+            let batch = job.emit(round, map, EmissionRange { first: 0, end: paths });
             let built = Arc::new(job.build_map(map, batch));
             match map {
                 MapKind::Global => maps.global = Some(built),
@@ -32,16 +35,50 @@ pub fn maps(job: &PreparedJob) -> PhotonMaps {
     maps
 }
 
-/// Renders `job` to its film.
+/// Renders `job` to its film: all its phases, in order.
 pub fn render(job: &PreparedJob) -> Film {
-    let maps = maps(job);
-    let tiles: Vec<_> = (0..job.grid().len()).into_par_iter().map(|t| job.gather(&maps, t)).collect();
-    let mut film = Film::new(job.settings().width, job.settings().height, job.channels());
-    for tile in &tiles {
-        assert_eq!(tile.non_finite, 0, "samples that are not finite in tile {}", tile.index);
-        film.insert(tile).unwrap_or_else(|e| panic!("{e}"));
+    let mut film = Accumulator::new(job.grid(), job.channels(), job.rounds());
+    let mut light = job.light_image();
+    let mut inputs = Inputs::default();
+    let (mut rounds, mut units) = (0, 0);
+    for phase in job.phases() {
+        match phase {
+            Phase::Emission { round, .. } => {
+                if round == rounds {
+                    inputs.maps = maps(job, round);
+                    rounds += 1;
+                }
+            }
+            Phase::Bootstrap { paths } => {
+                let weights = job.bootstrap(EmissionRange { first: 0, end: paths });
+                inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
+            }
+            Phase::Splat { units: n } => {
+                let light = light.as_mut().expect("a splat phase has a light image");
+                job.splat(&inputs, EmissionRange { first: 0, end: n }, light);
+                units = n;
+            }
+            Phase::Gather { round, tiles } => {
+                let tile = |t| {
+                    let mut own = job.light_image();
+                    (job.gather(&inputs, round, t, own.as_mut()), own)
+                };
+                let rendered: Vec<_> = (0..tiles).into_par_iter().map(tile).collect();
+                for (tile, own) in &rendered {
+                    assert_eq!(tile.non_finite, 0, "samples that are not finite in tile {}", tile.index);
+                    film.insert(round, tile).unwrap_or_else(|e| panic!("{e}"));
+                    if let (Some(light), Some(own)) = (light.as_mut(), own) {
+                        light.add(own).unwrap_or_else(|e| panic!("{e}"));
+                    }
+                }
+            }
+        }
     }
-    film
+    let scale = job.light_scale(&inputs, job.rounds(), units);
+    if let Some(light) = &light {
+        assert_eq!(light.non_finite(), 0, "splats that are not finite");
+    }
+    film.finish(light.as_ref().map(|l| (l, scale)))
 }
 
 /// Renders a scene made in code.

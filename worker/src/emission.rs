@@ -9,6 +9,6 @@ use std::time::{Duration, Instant};
 /// Traces the photon paths of `range` and encodes what they stored; also returns the time it took.
 pub fn compute(job: &PreparedJob, map: MapKind, range: EmissionRange) -> (Bytes, Duration) {
     let begun = Instant::now();
-    let batch = job.emit(map, range);
+    let batch = job.emit(0, map, range);
     (photons::encode_batch(&batch), begun.elapsed())
 }

@@ -97,7 +97,11 @@ fn plan_json(job: &PreparedJob) -> Value {
 
 fn phase_json(phase: &Phase) -> Value {
     match phase {
-        Phase::Emission { map, paths } => json!({ "phase": "emission", "map": map.name(), "paths": paths }),
-        Phase::Gather { tiles } => json!({ "phase": "gather", "tiles": tiles }),
+        Phase::Emission { round, map, paths } => {
+            json!({ "phase": "emission", "round": round, "map": map.name(), "paths": paths })
+        }
+        Phase::Bootstrap { paths } => json!({ "phase": "bootstrap", "paths": paths }),
+        Phase::Splat { units } => json!({ "phase": "splat", "units": units }),
+        Phase::Gather { round, tiles } => json!({ "phase": "gather", "round": round, "tiles": tiles }),
     }
 }

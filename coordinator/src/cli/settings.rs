@@ -141,6 +141,7 @@ impl SettingsArgs {
             estimator: p.estimator,
             kernel: p.kernel,
             layers,
+            ..RenderSettings::default()
         };
         settings.validate()?;
         Ok(settings)

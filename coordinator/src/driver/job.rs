@@ -88,7 +88,7 @@ impl JobRecord {
         let mut mergers = BTreeMap::new();
         let mut maps = Vec::new();
         for phase in prepared.phases() {
-            if let Phase::Emission { map: kind, paths } = phase {
+            if let Phase::Emission { map: kind, paths, .. } = phase {
                 mergers.insert(kind, Merger::new(kind, EmissionRange { first: 0, end: paths }));
                 maps.push(MapStats { kind, emitted_count: 0, emitted_total: paths, stored_count: 0, bytes: 0 });
             }

@@ -82,8 +82,9 @@ impl Policy {
     pub fn lease_units(&self, phase: Phase, s: Situation) -> u64 {
         let (probe, min, max) = match phase {
             Phase::Emission { .. } => (self.probe_paths, self.min_paths, self.max_paths),
-            // A tile runs on one thread: fewer tiles than threads leave some idle.
-            Phase::Gather { .. } => (u64::from(s.threads), 1, self.max_tiles),
+            Phase::Bootstrap { .. } => (self.probe_paths, self.min_paths, self.max_paths),
+            // A tile or a unit of a splat phase runs on one thread: fewer than threads leave some idle.
+            Phase::Gather { .. } | Phase::Splat { .. } => (u64::from(s.threads), 1, self.max_tiles),
         };
         let wanted = s.rate.map_or(probe, |r| (r * self.target_lease.as_secs_f64()) as u64);
         let tail = (s.remaining as f64 * s.share / 2.0).ceil() as u64;
@@ -108,8 +109,8 @@ mod tests {
     use super::*;
     use gatherlight_render::photon::MapKind;
 
-    const EMISSION: Phase = Phase::Emission { map: MapKind::Global, paths: 1 << 30 };
-    const GATHER: Phase = Phase::Gather { tiles: 1 << 20 };
+    const EMISSION: Phase = Phase::Emission { round: 0, map: MapKind::Global, paths: 1 << 30 };
+    const GATHER: Phase = Phase::Gather { round: 0, tiles: 1 << 20 };
 
     fn situation() -> Situation {
         Situation { threads: 4, rate: None, share: 0.5, remaining: 1 << 20, stored_per_unit: 0.0 }

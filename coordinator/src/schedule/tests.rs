@@ -37,8 +37,8 @@ impl Bench {
     /// A job of `paths` photons of one map and `tiles` tiles, or tiles only.
     fn with_job(policy: Policy, paths: u64, tiles: u32) -> Self {
         let mut bench = Bench::new(policy);
-        let emission = (paths > 0).then_some(Phase::Emission { map: MapKind::Global, paths });
-        let phases = emission.into_iter().chain([Phase::Gather { tiles }]).collect();
+        let emission = (paths > 0).then_some(Phase::Emission { round: 0, map: MapKind::Global, paths });
+        let phases = emission.into_iter().chain([Phase::Gather { round: 0, tiles }]).collect();
         assert_eq!(bench.event(Event::Submitted { job: JOB, phases }), []);
         bench
     }
@@ -122,7 +122,8 @@ fn a_job_without_photons_begins_with_tiles() {
 #[test]
 fn a_map_without_paths_is_built_at_once() {
     let mut b = Bench::new(policy());
-    let phases = vec![Phase::Emission { map: MapKind::Global, paths: 0 }, Phase::Gather { tiles: 1 }];
+    let phases =
+        vec![Phase::Emission { round: 0, map: MapKind::Global, paths: 0 }, Phase::Gather { round: 0, tiles: 1 }];
     let build = Command::BuildMap { job: JOB, kind: MapKind::Global };
     assert_eq!(b.event(Event::Submitted { job: JOB, phases }), [build]);
 }
@@ -130,8 +131,8 @@ fn a_map_without_paths_is_built_at_once() {
 #[test]
 fn the_next_map_is_traced_while_one_is_merged_and_tiles_wait_for_both() {
     let mut b = Bench::new(policy());
-    let phase = |map| Phase::Emission { map, paths: 10 };
-    let phases = vec![phase(MapKind::Global), phase(MapKind::Caustic), Phase::Gather { tiles: 1 }];
+    let phase = |map| Phase::Emission { round: 0, map, paths: 10 };
+    let phases = vec![phase(MapKind::Global), phase(MapKind::Caustic), Phase::Gather { round: 0, tiles: 1 }];
     b.event(Event::Submitted { job: JOB, phases });
     b.join(A);
     let caustic = Command::Assign { worker: A, lease: lease(2, 1, range(0, 10), Task::Emission(MapKind::Caustic)) };
@@ -146,8 +147,8 @@ fn the_next_map_is_traced_while_one_is_merged_and_tiles_wait_for_both() {
 
 #[test]
 fn phases_that_make_no_job_fail_it() {
-    let gather = Phase::Gather { tiles: 1 };
-    let emission = Phase::Emission { map: MapKind::Global, paths: 1 };
+    let gather = Phase::Gather { round: 0, tiles: 1 };
+    let emission = Phase::Emission { round: 0, map: MapKind::Global, paths: 1 };
     for phases in [vec![], vec![emission], vec![gather, gather], vec![emission, emission, gather]] {
         let said = Bench::new(policy()).event(Event::Submitted { job: JOB, phases });
         assert!(matches!(said[..], [Command::Finish { outcome: Outcome::Failed(_), .. }]), "{said:?}");
@@ -368,7 +369,7 @@ fn several_jobs_take_turns() {
     let mut b = Bench::new(policy());
     let jobs = [JobId(1), JobId(2)];
     for job in jobs {
-        b.event(Event::Submitted { job, phases: vec![Phase::Gather { tiles: 100 }] });
+        b.event(Event::Submitted { job, phases: vec![Phase::Gather { round: 0, tiles: 100 }] });
     }
     b.join(A);
     let mut got = Vec::new();
@@ -384,7 +385,7 @@ fn every_worker_gets_one_lease_before_any_gets_two() {
     let mut b = Bench::new(Policy { leases_per_worker: 2, ..policy() });
     b.join(A);
     b.join(B);
-    let said = b.event(Event::Submitted { job: JOB, phases: vec![Phase::Gather { tiles: 8 }] });
+    let said = b.event(Event::Submitted { job: JOB, phases: vec![Phase::Gather { round: 0, tiles: 8 }] });
     let order: Vec<_> =
         said.iter().filter_map(|c| if let Command::Assign { worker, .. } = c { Some(*worker) } else { None }).collect();
     assert_eq!(order, [A, B, A, B]);

@@ -3,7 +3,7 @@
 use super::name;
 use crate::error::WireError;
 use crate::wire;
-use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Method, RenderSettings};
+use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Merge, Method, RenderSettings};
 
 /// Both directions of an enumeration.
 macro_rules! enumeration {
@@ -24,7 +24,8 @@ macro_rules! enumeration {
     };
 }
 
-enumeration!(Method, method, "method", Photon, Path);
+enumeration!(Method, method, "method", Whitted, Path, Bdpt, Mlt, Photon, Progressive, Vcm);
+enumeration!(Merge, merge, "merge", Shared, Independent);
 enumeration!(Estimator, estimator, "estimator", KdTree, Hash);
 enumeration!(Kernel, kernel, "kernel", Constant, Cone, Epanechnikov);
 enumeration!(Layer, layer, "layers", Direct, Indirect, Caustic, Albedo, Normal, Depth, Position, Variance, Samples);
@@ -46,6 +47,14 @@ impl From<&RenderSettings> for wire::RenderSettings {
             estimator: wire::Estimator::from(s.estimator).into(),
             kernel: wire::Kernel::from(s.kernel).into(),
             layers: s.layers.iter().map(|&l| wire::Layer::from(l).into()).collect(),
+            direct_from_map: s.direct_from_map,
+            rounds: s.rounds,
+            radius_alpha: s.radius_alpha,
+            merge: wire::Merge::from(s.merge).into(),
+            chains: s.chains,
+            mutations: s.mutations,
+            bootstrap: s.bootstrap,
+            large_step: s.large_step,
             camera: match &s.camera {
                 CameraChoice::First => None,
                 CameraChoice::Index(i) => Some(wire::render_settings::Camera::CameraIndex(*i)),
@@ -79,6 +88,14 @@ impl TryFrom<wire::RenderSettings> for RenderSettings {
             estimator: estimator(s.estimator)?,
             kernel: kernel(s.kernel)?,
             layers: s.layers.into_iter().map(layer).collect::<Result<_, _>>()?,
+            direct_from_map: s.direct_from_map,
+            rounds: s.rounds,
+            radius_alpha: s.radius_alpha,
+            merge: merge(s.merge)?,
+            chains: s.chains,
+            mutations: s.mutations,
+            bootstrap: s.bootstrap,
+            large_step: s.large_step,
         };
         settings.validate().map_err(|e| WireError::invalid("settings", e.to_string()))?;
         Ok(settings)

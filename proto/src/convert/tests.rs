@@ -7,7 +7,7 @@ use crate::message::{
 use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
 use crate::wire;
 use gatherlight_render::photon::{EmissionRange, MapKind};
-use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Method, RenderSettings};
+use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Merge, Method, RenderSettings};
 use prost::Message;
 use std::time::Duration;
 
@@ -27,6 +27,14 @@ fn settings() -> RenderSettings {
         final_gather: 10,
         estimator: Estimator::Hash,
         kernel: Kernel::Epanechnikov,
+        direct_from_map: true,
+        rounds: 11,
+        radius_alpha: 0.5,
+        merge: Merge::Independent,
+        chains: 12,
+        mutations: 13,
+        bootstrap: 14,
+        large_step: 0.75,
         layers: Layer::ALL.to_vec(),
     }
 }

@@ -1,10 +1,14 @@
 //! Images in the making: tiles, the film they are assembled on, and how to compare images.
 
+pub mod accumulator;
 pub mod channels;
 pub mod compare;
 pub mod image;
+pub mod light_image;
 pub mod tile;
 
+pub use accumulator::Accumulator;
 pub use channels::ChannelSet;
 pub use image::Image;
-pub use tile::{Film, Tile, TileGrid, TileRect};
+pub use light_image::LightImage;
+pub use tile::{Film, Tile, TileError, TileGrid, TileRect};

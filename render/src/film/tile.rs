@@ -107,21 +107,36 @@ impl Film {
     /// # Errors
     /// When there is no such tile, it is already there, or its size is wrong; the film is then unchanged.
     pub fn insert(&mut self, tile: &Tile) -> Result<(), TileError> {
+        let rows = self.rows(tile)?;
+        if std::mem::replace(&mut self.filled[tile.index as usize], true) {
+            return Err(TileError::Repeated(tile.index));
+        }
+        for (at, line) in rows {
+            self.pixels[at..at + line.len()].copy_from_slice(line);
+        }
+        Ok(())
+    }
+    /// The rows of a tile, each with the place of its first float in [`Film::pixels`].
+    ///
+    /// # Errors
+    /// When there is no such tile, or its size is wrong.
+    pub(super) fn rows<'t>(
+        &self,
+        tile: &'t Tile,
+    ) -> Result<impl Iterator<Item = (usize, &'t [f32])> + use<'t>, TileError> {
         let rect = self.grid.rect(tile.index).ok_or(TileError::Outside(tile.index))?;
         let n = self.channels.len();
         let expected = rect.width as usize * rect.height as usize * n;
         if tile.pixels.len() != expected {
             return Err(TileError::Size { index: tile.index, actual: tile.pixels.len(), expected });
         }
-        if std::mem::replace(&mut self.filled[tile.index as usize], true) {
-            return Err(TileError::Repeated(tile.index));
-        }
-        let row = rect.width as usize * n;
-        for (y, line) in tile.pixels.chunks_exact(row).enumerate() {
-            let at = ((rect.y as usize + y) * self.grid.width as usize + rect.x as usize) * n;
-            self.pixels[at..at + row].copy_from_slice(line);
-        }
-        Ok(())
+        let (row, width) = (rect.width as usize * n, self.grid.width as usize);
+        let place = move |y: usize| ((rect.y as usize + y) * width + rect.x as usize) * n;
+        Ok(tile.pixels.chunks_exact(row).enumerate().map(move |(y, line)| (place(y), line)))
+    }
+    /// Counts every tile as there.
+    pub(super) fn fill(&mut self) {
+        self.filled.fill(true);
     }
     /// Whether every tile is there.
     pub fn is_complete(&self) -> bool {

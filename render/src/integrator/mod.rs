@@ -8,10 +8,12 @@
 //!
 //! The partition is by lobe, not by roughness: there is no threshold.
 
+pub mod bootstrap;
 pub mod direct;
 pub mod path;
 pub mod photon_map;
 pub mod sample;
 pub mod tile;
 
+pub use bootstrap::Bootstrap;
 pub use sample::{FirstHit, Sample};

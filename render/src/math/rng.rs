@@ -18,6 +18,8 @@ pub enum Purpose {
     LightPath = 5,
     /// Markov chains.
     Chain = 6,
+    /// Bootstrap paths of the Markov chains.
+    Bootstrap = 7,
     /// Tests.
     Test = 99,
 }
