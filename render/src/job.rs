@@ -7,12 +7,12 @@ use crate::error::{SceneError, SettingsError};
 use crate::film::{ChannelSet, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
-use crate::integrator::{Bootstrap, path, tile};
+use crate::integrator::{Bootstrap, path, progressive, tile};
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
-use crate::plan::{EmissionPlan, Plan};
+use crate::plan::{self, EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
 use crate::settings::{Method, RenderSettings};
 use std::sync::Arc;
@@ -132,9 +132,9 @@ impl PreparedJob {
         if scene.lights.is_empty() {
             warnings.push("the scene has no light: the image will be black".into());
         }
-        let wants_aim = settings.method == Method::Photon && settings.caustic_photons > 0 && scene.has_diffuse();
+        let wants_aim = plan::reads_photons(settings.method) && settings.caustic_photons > 0 && scene.has_diffuse();
         let aim = if wants_aim { AimedEmission::new(&scene) } else { None };
-        let plan = Plan::new(&scene, settings, aim.as_ref());
+        let plan = Plan::new(&scene, &camera, settings, aim.as_ref());
         Ok(PreparedJob { settings: settings.clone(), digest, scene, camera, aim, plan, warnings })
     }
 
@@ -233,7 +233,15 @@ impl PreparedJob {
     /// Largest radius `map` is searched with, in world units: given, or chosen from the map's density.
     pub fn gather_radius(&self, map: &PhotonMap) -> f32 {
         let space = &self.scene.space;
-        space.length_to_world(photon_map::gather_radius(&self.settings, map, space)) as f32
+        let first = match map.kind() {
+            MapKind::Global => &self.plan.global,
+            MapKind::Caustic => &self.plan.caustic,
+        };
+        let radius = match (self.settings.method, first) {
+            (Method::Progressive, Some(e)) => e.first_radius,
+            _ => photon_map::gather_radius(&self.settings, map, space),
+        };
+        space.length_to_world(radius) as f32
     }
 
     /// Renders tile `index` of `round`, on the current thread; what lands elsewhere in the image is added to `light`, which
@@ -244,17 +252,28 @@ impl PreparedJob {
         };
         let (settings, scene, camera) = (&self.settings, &self.scene, &self.camera);
         let maps = &inputs.maps;
-        // Nothing built so far has more than one round, or splats.
-        let (_, _) = (round, light);
+        let samples = settings.samples_of_round(round);
+        // Nothing built so far splats.
+        let _ = light;
         match settings.method {
-            Method::Photon => {
-                let gather = GatherSettings::new(settings, maps, &scene.space);
+            Method::Photon | Method::Progressive => {
+                let gather = self.gather_settings(maps, round);
                 let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
-                tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| pass.trace(ray, sampler))
+                tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
+                    pass.trace(ray, sampler)
+                })
             }
-            _ => tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| {
+            _ => tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
                 path::trace(scene, ray, settings.max_depth, sampler)
             }),
         }
+    }
+
+    fn gather_settings(&self, maps: &PhotonMaps, round: u32) -> GatherSettings {
+        if self.settings.method == Method::Photon {
+            return GatherSettings::new(&self.settings, maps, &self.scene.space);
+        }
+        let first = |e: &Option<EmissionPlan>| e.map_or(0.0, |e| e.first_radius);
+        progressive::gather_settings(&self.settings, first(&self.plan.global), first(&self.plan.caustic), round)
     }
 }

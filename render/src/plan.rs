@@ -4,11 +4,12 @@
 //! of the image.
 
 use crate::film::ChannelSet;
+use crate::integrator::progressive;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind};
-use crate::scene::Scene;
+use crate::scene::{Camera, Scene};
 use crate::settings::{Layer, Method, RenderSettings};
 
 /// Photon paths traced to estimate how many photons a map will hold.
@@ -46,6 +47,8 @@ pub struct EmissionPlan {
     pub storage: Storage,
     /// Expected number of stored photons, by a pilot run.
     pub expected_stored: u64,
+    /// Gather radius of the first round, scene space; of methods with rounds only.
+    pub first_radius: f32,
 }
 
 /// What will be done.
@@ -69,16 +72,18 @@ pub struct Plan {
 
 impl Plan {
     /// Decides what `scene` needs for `settings`.
-    pub fn new(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Self {
+    pub fn new(scene: &Scene, camera: &Camera, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Self {
         let mut entries = Vec::new();
         let mut entry = |what: &str, kept: bool, reason: String| {
             entries.push(PlanEntry { what: what.into(), kept, reason });
         };
-        let global = plan_global(scene, settings).map_err(|why| entry("global photon map", false, why)).ok();
+        let pixel = pixel_on_surfaces(scene, camera, settings);
+        let global = plan_global(scene, settings, pixel).map_err(|why| entry("global photon map", false, why)).ok();
         if let Some(g) = &global {
             entry("global photon map", true, describe(g, "light on diffuse surfaces"));
         }
-        let caustic = plan_caustic(scene, settings, aim).map_err(|why| entry("caustic photon map", false, why)).ok();
+        let caustic =
+            plan_caustic(scene, settings, aim, pixel).map_err(|why| entry("caustic photon map", false, why)).ok();
         if let (Some(c), Some(a)) = (&caustic, aim) {
             entry("caustic photon map", true, describe(c, "light focused by specular and glossy surfaces"));
             let n = a.targets().len();
@@ -140,16 +145,22 @@ fn describe(e: &EmissionPlan, what: &str) -> String {
     format!("{what}: {} paths emitted, about {} photons stored", e.paths, e.expected_stored)
 }
 
-fn plan_global(scene: &Scene, settings: &RenderSettings) -> Result<EmissionPlan, String> {
+fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<EmissionPlan, String> {
     common_reason(scene, settings)?;
     if settings.photons == 0 {
         return Err("--photons is 0".into());
     }
-    let storage = if settings.final_gather > 0 { Storage::All } else { Storage::Indirect };
-    Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None))
+    let gathers = settings.method == Method::Photon && settings.final_gather > 0;
+    let storage = if gathers { Storage::All } else { Storage::Indirect };
+    Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None, pixel))
 }
 
-fn plan_caustic(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Result<EmissionPlan, String> {
+fn plan_caustic(
+    scene: &Scene,
+    settings: &RenderSettings,
+    aim: Option<&AimedEmission>,
+    pixel: f32,
+) -> Result<EmissionPlan, String> {
     common_reason(scene, settings)?;
     if !scene.has_specular_or_glossy() {
         return Err("no surface is specular or glossy".into());
@@ -158,11 +169,32 @@ fn plan_caustic(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmis
         return Err("--caustic-photons is 0".into());
     }
     let aim = aim.ok_or_else(|| "no light reaches a specular or glossy surface".to_string())?;
-    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, settings.caustic_photons, Some(aim)))
+    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, settings.caustic_photons, Some(aim), pixel))
+}
+
+/// Whether `method` gathers from photon maps.
+pub fn reads_photons(method: Method) -> bool {
+    matches!(method, Method::Photon | Method::Progressive)
+}
+
+/// Rays across and down that look for the surfaces that are seen.
+const PROBES: u32 = 16;
+
+/// Width of a pixel on the surfaces that the camera sees, scene space: the median over a grid of rays; 0 where nothing is seen.
+fn pixel_on_surfaces(scene: &Scene, camera: &Camera, settings: &RenderSettings) -> f32 {
+    let place = |i: u32, size: u32| (i as f32 + 0.5) / PROBES as f32 * size as f32;
+    let mut widths: Vec<f32> = (0..PROBES * PROBES)
+        .filter_map(|i| {
+            let ray = camera.ray(place(i % PROBES, settings.width), place(i / PROBES, settings.height));
+            scene.intersect(&ray).map(|p| camera.pixel_footprint(camera.depth(p.position)))
+        })
+        .collect();
+    widths.sort_unstable_by(f32::total_cmp);
+    widths.get(widths.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn common_reason(scene: &Scene, settings: &RenderSettings) -> Result<(), String> {
-    if settings.method != Method::Photon {
+    if !reads_photons(settings.method) {
         return Err(format!("method {} reads no photons", settings.method.name()));
     }
     if scene.lights.is_empty() {
@@ -181,12 +213,21 @@ fn emission_plan(
     storage: Storage,
     paths: u64,
     aim: Option<&AimedEmission>,
+    pixel: f32,
 ) -> EmissionPlan {
     let pilot = PILOT_PATHS.min(paths);
     let emission = Emission { scene, kind, storage, seed: settings.seed, round: 0, aim };
-    let stored = emission.trace(EmissionRange { first: 0, end: pilot }).len() as u64;
+    let photons = emission.trace(EmissionRange { first: 0, end: pilot });
+    let stored = photons.len() as u64;
     let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(pilot.max(1))) as u64;
-    EmissionPlan { paths, storage, expected_stored }
+    let first_radius = match (settings.method, settings.max_radius) {
+        (Method::Progressive, None) => {
+            let map = PhotonMap::build(kind, photons);
+            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel)
+        }
+        (_, given) => given.map_or(0.0, |r| scene.space.length(f64::from(r))),
+    };
+    EmissionPlan { paths, storage, expected_stored, first_radius }
 }
 
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {

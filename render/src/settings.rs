@@ -46,7 +46,7 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 2] = [Method::Path, Method::Photon];
+    pub const ALL: [Method; 3] = [Method::Path, Method::Photon, Method::Progressive];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
@@ -331,6 +331,11 @@ impl RenderSettings {
             return bad("large-step", format!("{} is not above 0 and at most 1", self.large_step));
         }
         Ok(())
+    }
+
+    /// Numbers of the camera samples of each pixel that `round` takes.
+    pub fn samples_of_round(&self, round: u32) -> std::ops::Range<u32> {
+        if self.method.has_rounds() { round..round + 1 } else { 0..self.samples }
     }
 
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.

@@ -12,6 +12,7 @@ pub mod bootstrap;
 pub mod direct;
 pub mod path;
 pub mod photon_map;
+pub mod progressive;
 pub mod radius;
 pub mod sample;
 pub mod tile;

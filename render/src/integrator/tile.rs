@@ -8,16 +8,19 @@ use crate::math::{Purpose, Rgb};
 use crate::scene::{Camera, SceneSpace};
 use crate::settings::{Layer, RenderSettings};
 use glam::Vec3;
+use std::ops::Range;
 
 /// Renders the pixels of `rect` (tile `index`): `trace` gives the radiance of each camera sample.
 ///
-/// Samples of a pixel are folded in index order in f64; a sample that is not finite is counted and left out.
+/// `samples` are the numbers of each pixel's samples. Samples of a pixel are folded in index order in f64; a sample that is not finite is counted and left out.
+#[allow(clippy::too_many_arguments)] // what a pixel depends on, spelled out
 pub fn render(
     index: u32,
     rect: TileRect,
     settings: &RenderSettings,
     camera: &Camera,
     space: &SceneSpace,
+    samples: Range<u32>,
     mut trace: impl FnMut(Ray, &mut Sampler) -> Sample,
 ) -> Tile {
     let channels = ChannelSet::new(&settings.layers);
@@ -31,7 +34,7 @@ pub fn render(
         for x in rect.x..rect.x + rect.width {
             let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
             let mut sums = PixelSums::default();
-            for s in 0..settings.samples {
+            for s in samples.clone() {
                 let mut sampler = Sampler::new(settings.seed, Purpose::Camera, 0, pixel, u64::from(s));
                 let [dx, dy] = sampler.next_2d();
                 let sample = trace(camera.ray(x as f32 + dx, y as f32 + dy), &mut sampler);
@@ -154,7 +157,7 @@ mod tests {
         let calls = std::cell::Cell::new(0);
         let rect = TileRect { x: 0, y: 0, width: 2, height: 1 };
         let s = settings(&[Layer::Variance, Layer::Samples]);
-        let tile = render(0, rect, &s, &camera, &space, |_, _| {
+        let tile = render(0, rect, &s, &camera, &space, 0..4, |_, _| {
             calls.set(calls.get() + 1);
             let v = if calls.get() == 3 { f32::NAN } else { calls.get() as f32 };
             Sample { direct: Rgb::splat(v), ..Default::default() }

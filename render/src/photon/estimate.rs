@@ -35,7 +35,7 @@ pub const MIN_GATHER_RADIUS: f32 = 1e-6;
 /// How photons are gathered for an estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gather {
-    /// Neighbours, ≥ 2 (less counts as 2).
+    /// Neighbours, ≥ 2 (1 counts as 2); 0: all photons within the largest radius.
     pub k: u32,
     /// Square of the largest gather radius, scene space; less than [`MIN_GATHER_RADIUS`] counts as that.
     pub max_radius_squared: f32,
@@ -204,7 +204,7 @@ fn estimate(
 ) -> Estimate {
     let min_radius_squared = MIN_GATHER_RADIUS * MIN_GATHER_RADIUS;
     let max_radius_squared = gather.max_radius_squared.max(min_radius_squared);
-    if map.has_hash_grid() {
+    if gather.k == 0 || map.has_hash_grid() {
         return fixed(map, position, normal, max_radius_squared, gather.kernel, weight);
     }
     let surface = SameSurface::new(map, position, normal);
@@ -265,6 +265,13 @@ const SPARSE_RADIUS: f32 = 0.1;
 /// a disc of this radius, with the right mean. It also bounds how far light can leak around the rim of a caustic.
 /// Surfaces with fewer than k photons count with their extent, at least [`SPARSE_RADIUS`]; so does an empty map.
 pub fn choose_max_radius(map: &PhotonMap, k: u32) -> f32 {
+    (RADIUS_FACTOR * neighbour_distance(map, k, RADIUS_QUANTILE)).max(MIN_GATHER_RADIUS)
+}
+
+/// The `quantile` (in [0, 1)) of the distance from a photon to the k-th of its surface, over ≤ 1024 photons spread evenly over
+/// the map. Scene space. Surfaces with fewer than k photons count with their extent, at least [`SPARSE_RADIUS`]; so does
+/// an empty map.
+pub fn neighbour_distance(map: &PhotonMap, k: u32, quantile: f32) -> f32 {
     let (count, k) = (map.stored_count(), k.max(2) as usize);
     let stride = count.div_ceil(RADIUS_SAMPLES).max(1);
     let mut buffer = NeighbourBuffer::new();
@@ -279,9 +286,8 @@ pub fn choose_max_radius(map: &PhotonMap, k: u32) -> f32 {
         })
         .collect();
     distances.sort_unstable_by(f32::total_cmp);
-    let rank = (distances.len() as f32 * RADIUS_QUANTILE) as usize;
-    let quantile = distances.get(rank).copied().unwrap_or(SPARSE_RADIUS);
-    (RADIUS_FACTOR * quantile).max(MIN_GATHER_RADIUS)
+    let rank = (distances.len() as f32 * quantile) as usize;
+    distances.get(rank).copied().unwrap_or(SPARSE_RADIUS)
 }
 
 #[cfg(test)]

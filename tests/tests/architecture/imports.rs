@@ -27,7 +27,7 @@ const RENDER_MODULES: [(&str, &[&str]); 14] = [
     ("photon", &["error", "settings", "math", "geometry", "material", "light", "scene"]),
     ("integrator", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon"]),
     ("export", &["error", "settings", "math", "film", "photon", "scene"]),
-    ("plan", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon"]),
+    ("plan", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon", "integrator"]),
     ("job", &["*"]),
 ];
 
