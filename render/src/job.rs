@@ -4,10 +4,11 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{ChannelSet, LightImage, Tile, TileGrid};
+use crate::film::{Accumulator, ChannelSet, Film, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
 use crate::integrator::{Bootstrap, path, progressive, tile};
+use crate::math::Rgb;
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
 use crate::photon::trace::{Emission, Storage};
@@ -15,6 +16,7 @@ use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{self, EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
 use crate::settings::{Method, RenderSettings};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 pub use crate::photon::map::{PhotonMap, PhotonMaps};
@@ -165,33 +167,41 @@ impl PreparedJob {
 
     /// What has to be done, in order. The last phase is always a gather or splat phase.
     pub fn phases(&self) -> Vec<Phase> {
-        let tiles = self.grid().len();
-        let round = |round| {
-            let emission = move |map, e: &Option<EmissionPlan>| {
-                e.map(|e| Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
-            };
-            [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
-                .into_iter()
-                .flatten()
-                .chain([Phase::Gather { round, tiles }])
+        if self.settings.has_independent_rounds() {
+            return vec![Phase::Splat { units: u64::from(self.settings.rounds) }];
+        }
+        (0..self.rounds()).flat_map(|round| self.phases_of_round(round)).collect()
+    }
+    fn phases_of_round(&self, round: u32) -> impl Iterator<Item = Phase> {
+        let emission = |map, e: &Option<EmissionPlan>| {
+            e.map(|e| Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
         };
-        (0..self.rounds()).flat_map(round).collect()
+        [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
+            .into_iter()
+            .flatten()
+            .chain([Phase::Gather { round, tiles: self.grid().len() }])
     }
     /// Number of rounds whose tiles the image is the mean of, ≥ 1.
     pub fn rounds(&self) -> u32 {
-        if self.settings.method.has_rounds() { self.settings.rounds } else { 1 }
+        let rounds_of_tiles = self.settings.method.has_rounds() && !self.settings.has_independent_rounds();
+        if rounds_of_tiles { self.settings.rounds } else { 1 }
     }
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {
         if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
     }
     /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
     pub fn light_image(&self) -> Option<LightImage> {
-        None
+        // Independent rounds need a second plane for alpha.
+        let planes = if self.settings.has_independent_rounds() { 2 } else { return None };
+        Some(LightImage::new(self.grid(), planes, self.scene.lights.total_power().max_component()))
     }
-    /// The factor on the light image's sums in the finished image, once `units` units of the splat phase (of which there may be
-    /// none) or `rounds` rounds of the gather phase are done.
-    pub fn light_scale(&self, _inputs: &Inputs, _rounds: u32, _units: u64) -> f64 {
-        1.0
+    /// The finished film, from the tiles of all rounds done, the light image where there is one, and the number of `units` of
+    /// the splat phase that are done.
+    pub fn finish(&self, film: Accumulator, light: Option<&LightImage>, _inputs: &Inputs, units: u64) -> Film {
+        match light {
+            Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
+            _ => film.finish(light.map(|light| (light, 1.0))),
+        }
     }
     /// The tiles of the image.
     pub fn grid(&self) -> TileGrid {
@@ -222,7 +232,43 @@ impl PreparedJob {
     }
 
     /// Computes units `range` of the splat phase, in parallel on the current rayon pool, and adds them to `light`.
-    pub fn splat(&self, _inputs: &Inputs, _range: EmissionRange, _light: &mut LightImage) {}
+    pub fn splat(&self, _inputs: &Inputs, range: EmissionRange, light: &mut LightImage) {
+        if self.settings.has_independent_rounds() {
+            (range.first..range.end).for_each(|round| self.render_round(round as u32, light));
+        }
+    }
+
+    /// Computes a whole round here: photons, maps and all tiles.
+    fn render_round(&self, round: u32, light: &mut LightImage) {
+        let mut inputs = Inputs::default();
+        for phase in self.phases_of_round(round) {
+            match phase {
+                Phase::Emission { map, paths, .. } => {
+                    let batch = self.emit(round, map, EmissionRange { first: 0, end: paths });
+                    inputs.maps.insert(Arc::new(self.build_map(map, batch)));
+                }
+                Phase::Gather { tiles, .. } => {
+                    let tile = |index| self.gather(&inputs, round, index, None);
+                    let tiles: Vec<Tile> = (0..tiles).into_par_iter().with_max_len(1).map(tile).collect();
+                    tiles.iter().for_each(|tile| self.splat_tile(tile, light));
+                }
+                Phase::Bootstrap { .. } | Phase::Splat { .. } => {}
+            }
+        }
+    }
+
+    /// Adds a tile's colour to plane 0 and its alpha, in units, to plane 1.
+    fn splat_tile(&self, tile: &Tile, light: &mut LightImage) {
+        let Some(rect) = self.grid().rect(tile.index) else { return };
+        let unit = light.unit();
+        for (i, pixel) in tile.pixels.chunks_exact(self.channels().len()).enumerate() {
+            let (x, y) = (rect.x + i as u32 % rect.width, rect.y + i as u32 / rect.width);
+            light.splat(0, x, y, Rgb::new(pixel[0], pixel[1], pixel[2]));
+            light.splat(1, x, y, Rgb::splat(pixel[3] * unit));
+        }
+        light.add_rays(tile.rays);
+        light.add_non_finite(tile.non_finite);
+    }
 
     /// Builds the search structure over merged photons (`merged.range` = [0, emitted)), in parallel on the current
     /// rayon pool.

@@ -309,6 +309,9 @@ impl RenderSettings {
         if self.max_depth == Some(0) {
             return bad("max-depth", "must be at least 1 (1 shows only emission seen directly)".into());
         }
+        if self.has_independent_rounds() && !self.layers.is_empty() {
+            return bad("layers", "independent rounds give the colour only: leave them out, or --merge shared".into());
+        }
         if self.layers.windows(2).any(|w| w[0] >= w[1]) {
             return bad("layers", "each layer may be named once".into());
         }
@@ -331,6 +334,11 @@ impl RenderSettings {
             return bad("large-step", format!("{} is not above 0 and at most 1", self.large_step));
         }
         Ok(())
+    }
+
+    /// Whether whole rounds are computed apart and only their images meet.
+    pub fn has_independent_rounds(&self) -> bool {
+        self.method.has_rounds() && self.merge == Merge::Independent
     }
 
     /// Numbers of the camera samples of each pixel that `round` takes.

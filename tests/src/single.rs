@@ -4,7 +4,7 @@ use gatherlight_render::film::{Accumulator, Film};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Inputs, Phase, PhotonMaps, PreparedJob};
 use gatherlight_render::math::Rgb;
-use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::scene::SceneDigest;
 use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::RenderSettings;
@@ -25,11 +25,7 @@ pub fn maps(job: &PreparedJob, round: u32) -> PhotonMaps {
             && r == round
         {
             let batch = job.emit(round, map, EmissionRange { first: 0, end: paths });
-            let built = Arc::new(job.build_map(map, batch));
-            match map {
-                MapKind::Global => maps.global = Some(built),
-                MapKind::Caustic => maps.caustic = Some(built),
-            }
+            maps.insert(Arc::new(job.build_map(map, batch)));
         }
     }
     maps
@@ -74,11 +70,10 @@ pub fn render(job: &PreparedJob) -> Film {
             }
         }
     }
-    let scale = job.light_scale(&inputs, job.rounds(), units);
     if let Some(light) = &light {
         assert_eq!(light.non_finite(), 0, "splats that are not finite");
     }
-    film.finish(light.as_ref().map(|l| (l, scale)))
+    job.finish(film, light.as_ref(), &inputs, units)
 }
 
 /// Renders a scene made in code.

@@ -70,6 +70,22 @@ impl Accumulator {
         self.filled.iter().copied().min().unwrap_or(0)
     }
 
+    /// The film of whole rounds that came as a light image: colour in plane 0, alpha in plane 1 in its
+    /// [`LightImage::unit`], both summed over `rounds`. Other channels are black.
+    pub fn finish_rounds(mut self, light: &LightImage, rounds: u64) -> Film {
+        let (width, n) = (self.film.grid.width, self.film.channels.len());
+        let scale = 1.0 / rounds.max(1) as f64;
+        let unit = f64::from(light.unit());
+        for (i, pixel) in self.film.pixels.chunks_exact_mut(n).enumerate() {
+            let (x, y) = (i as u32 % width, i as u32 / width);
+            let color = light.value(0, x, y).map(|v| (v * scale) as f32);
+            pixel[..3].copy_from_slice(&color);
+            pixel[3] = (light.value(1, x, y)[0] / unit * scale) as f32;
+        }
+        self.film.fill();
+        self.film
+    }
+
     /// The film over the rounds done: the mean of the tiles, plus plane 0 of the light image times `light_scale`.
     pub fn finish(mut self, light: Option<(&LightImage, f64)>) -> Film {
         let rounds = self.complete_rounds();

@@ -59,6 +59,11 @@ impl LightImage {
     pub fn planes(&self) -> u32 {
         self.planes
     }
+    /// The power of two that the scale was rounded down to: a value that is exact whatever the scale, for planes that hold
+    /// no radiance.
+    pub fn unit(&self) -> f32 {
+        power_of_two(self.quantum + BITS_BELOW) as f32
+    }
     /// Exponent of the least bit.
     pub fn quantum(&self) -> i32 {
         self.quantum
@@ -164,7 +169,7 @@ impl LightImage {
 fn quantum_of(scale: f32) -> i32 {
     // The biased exponent of an f64 is exact for every f32, subnormal ones included.
     let exponent = ((f64::from(scale).to_bits() >> 52) & 0x7ff) as i32 - 1023;
-    exponent.clamp(-160, 130) - BITS_BELOW
+    exponent.clamp(-126, 127) - BITS_BELOW
 }
 
 /// 2^`exponent` for −1022 ≤ exponent ≤ 1023.
@@ -220,8 +225,9 @@ mod tests {
 
     #[test]
     fn every_scale_has_its_range_and_what_is_beyond_is_counted() {
-        for scale in [0.0f32, 1e-45, 1e-30, 1.0, 1e20, f32::MAX] {
+        for scale in [0.0f32, 1e-38, 1e-30, 1.0, 1e20, f32::MAX] {
             let mut i = LightImage::new(GRID, 1, scale);
+            assert!(i.unit().is_normal() && (scale == 0.0 || (0.5..=1.0).contains(&(i.unit() / scale))), "{scale}");
             i.splat(0, 0, 0, Rgb::splat(scale));
             let got = i.value(0, 0, 0)[0];
             assert!((got - f64::from(scale)).abs() <= 1e-12 * f64::from(scale), "{scale} {got}");

@@ -22,6 +22,16 @@ pub struct PhotonMaps {
     pub caustic: Option<Arc<PhotonMap>>,
 }
 
+impl PhotonMaps {
+    /// Puts a map in its place.
+    pub fn insert(&mut self, map: Arc<PhotonMap>) {
+        match map.kind {
+            MapKind::Global => self.global = Some(map),
+            MapKind::Caustic => self.caustic = Some(map),
+        }
+    }
+}
+
 /// Photons of one kind in tree order.
 #[derive(Debug)]
 pub struct PhotonMap {
