@@ -6,6 +6,7 @@
 use crate::error::{SceneError, SettingsError};
 use crate::film::{Accumulator, ChannelSet, Film, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
+use crate::integrator::bdpt::Bdpt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
 use crate::integrator::{Bootstrap, path, progressive, tile};
 use crate::math::Rgb;
@@ -191,8 +192,12 @@ impl PreparedJob {
     }
     /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
     pub fn light_image(&self) -> Option<LightImage> {
-        // Independent rounds need a second plane for alpha.
-        let planes = if self.settings.has_independent_rounds() { 2 } else { return None };
+        let planes = match self.settings.method {
+            // Independent rounds need a second plane for alpha.
+            _ if self.settings.has_independent_rounds() => 2,
+            Method::Bdpt => 1,
+            _ => return None,
+        };
         Some(LightImage::new(self.grid(), planes, self.scene.lights.total_power().max_component()))
     }
     /// The finished film, from the tiles of all rounds done, the light image where there is one, and the number of `units` of
@@ -200,7 +205,8 @@ impl PreparedJob {
     pub fn finish(&self, film: Accumulator, light: Option<&LightImage>, _inputs: &Inputs, units: u64) -> Film {
         match light {
             Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
-            _ => film.finish(light.map(|light| (light, 1.0))),
+            // Splats are sums over the camera samples of a pixel.
+            _ => film.finish(light.map(|light| (light, 1.0 / f64::from(self.settings.samples)))),
         }
     }
     /// The tiles of the image.
@@ -299,9 +305,15 @@ impl PreparedJob {
         let (settings, scene, camera) = (&self.settings, &self.scene, &self.camera);
         let maps = &inputs.maps;
         let samples = settings.samples_of_round(round);
-        // Nothing built so far splats.
-        let _ = light;
         match settings.method {
+            Method::Bdpt => {
+                let mut bdpt = Bdpt::new(scene, camera, settings);
+                let mut nowhere = None;
+                let light = light.unwrap_or_else(|| nowhere.insert(LightImage::new(self.grid(), 1, 0.0)));
+                tile::render_numbered(index, rect, settings, camera, &scene.space, samples, |id, ray, sampler| {
+                    bdpt.trace(id, ray, sampler, light)
+                })
+            }
             Method::Photon | Method::Progressive => {
                 let gather = self.gather_settings(maps, round);
                 let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };

@@ -3,7 +3,7 @@
 //! The plan is a pure function of scene and settings; the render follows it, and leaving something out changes no bit
 //! of the image.
 
-use crate::film::ChannelSet;
+use crate::film::{ChannelSet, LightImage, TileGrid};
 use crate::integrator::progressive;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
@@ -95,6 +95,7 @@ impl Plan {
             entry("merge and broadcast", false, "there is no map".into());
         }
         plan_gather(scene, settings, global.is_some(), &mut entry);
+        let light_bytes = plan_light_image(settings, &mut entry);
         for layer in Layer::ALL {
             if !settings.layers.contains(&layer) {
                 entry(&format!("layer {}", layer.name()), false, "not asked for".into());
@@ -110,6 +111,10 @@ impl Plan {
             broadcast_bytes: 0,
         };
         plan.predict_memory(scene, settings);
+        // Workers add to one of their own, and the coordinator to the sum.
+        plan.worker_bytes += light_bytes;
+        plan.coordinator_bytes += light_bytes;
+        plan.single_process_bytes += 2 * light_bytes;
         plan
     }
 
@@ -228,6 +233,20 @@ fn emission_plan(
         (_, given) => given.map_or(0.0, |r| scene.space.length(f64::from(r))),
     };
     EmissionPlan { paths, storage, expected_stored, first_radius }
+}
+
+/// Bytes of a whole light image, where the method has one.
+fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool, String)) -> u64 {
+    if settings.method != Method::Bdpt {
+        entry("light image", false, format!("method {} splats nothing", settings.method.name()));
+        return 0;
+    }
+    let grid = TileGrid { width: settings.width, height: settings.height };
+    let bytes = u64::from(grid.len()) * LightImage::block_bytes();
+    let reason =
+        format!("light paths that meet the lens land on any pixel: {} MiB, summed exactly", bytes.div_ceil(1 << 20));
+    entry("light image", true, reason);
+    bytes
 }
 
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {

@@ -46,7 +46,7 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 3] = [Method::Path, Method::Photon, Method::Progressive];
+    pub const ALL: [Method; 4] = [Method::Path, Method::Bdpt, Method::Photon, Method::Progressive];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
@@ -57,6 +57,14 @@ impl Method {
             Method::Photon => "photon",
             Method::Progressive => "progressive",
             Method::Vcm => "vcm",
+        }
+    }
+    /// Extra layers it can show. The bidirectional methods do not tell the parts of light apart, and their light image has
+    /// no samples of a pixel whose variance could be taken.
+    pub const fn layers(self) -> &'static [Layer] {
+        match self {
+            Method::Bdpt => &[Layer::Albedo, Layer::Normal, Layer::Depth, Layer::Position, Layer::Samples],
+            _ => &Layer::ALL,
         }
     }
     /// Whether the image is the mean over rounds of one camera sample a pixel each, rather than over samples.
@@ -314,6 +322,11 @@ impl RenderSettings {
         }
         if self.layers.windows(2).any(|w| w[0] >= w[1]) {
             return bad("layers", "each layer may be named once".into());
+        }
+        if let Some(layer) = self.layers.iter().find(|l| !self.method.layers().contains(l)) {
+            let there: Vec<&str> = self.method.layers().iter().map(|l| l.name()).collect();
+            let (method, layer) = (self.method.name(), layer.name());
+            return bad("layers", format!("{method} has no layer {layer}; it has {}", there.join(", ")));
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! Helpers that tests share.
 
+pub mod agree;
 pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
@@ -7,6 +8,7 @@ pub mod processes;
 pub mod scenes;
 pub mod simulation;
 pub mod single;
+pub mod transport;
 
 use gatherlight_render::export::decode;
 use sha2::{Digest, Sha256};

@@ -87,6 +87,16 @@ impl SurfacePoint {
     pub fn spawn(&self, direction: Vec3) -> Vec3 {
         offset_origin(self.position, self.error, self.ng, direction)
     }
+
+    /// End of a segment that leaves another surface at `origin` and must not reach this one: moved off it, to the side of
+    /// `origin`, by the bound on the position's rounding error and on that of the ray. The direction's rounding, and that of
+    /// the distance at which the ray would meet the surface, move its end by a few units in the last place of its length.
+    #[inline]
+    pub fn arrival(&self, origin: Vec3) -> Vec3 {
+        let back = origin - self.position;
+        let along = Vec3::splat(8.0 * f32::EPSILON * back.length());
+        offset_origin(self.position, self.error + along, self.ng, back)
+    }
 }
 
 /// `position` moved along the unit `normal`, to the side of `direction`, by the bound `error` on its rounding error per axis

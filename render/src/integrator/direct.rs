@@ -1,8 +1,8 @@
 //! Next-event estimation: light that arrives straight from a light (Veach 1997, §8 and §9).
 
 use crate::geometry::{Ray, SurfacePoint};
-use crate::math::Rgb;
-use crate::math::sobol::Sampler;
+use crate::light::Light;
+use crate::math::{Numbers, Rgb};
 use crate::scene::Scene;
 use glam::Vec3;
 
@@ -17,14 +17,19 @@ pub struct LightDirection {
     pub pdf: f32,
     /// Distance to the light; infinite for directional lights.
     pub distance: f32,
-    shadow: Ray,
+    /// Index of the light.
+    pub light: usize,
+    /// Probability of choosing it.
+    pub pmf: f32,
+    /// From the point to the light.
+    pub shadow: Ray,
 }
 
 impl LightDirection {
-    /// Chooses a light and a point on it. Always takes three numbers from `sampler`.
+    /// Chooses a light and a point on it. Always takes three numbers.
     #[inline]
-    pub fn sample(scene: &Scene, point: &SurfacePoint, sampler: &mut Sampler) -> Option<Self> {
-        let (u_light, u) = (sampler.next_1d(), sampler.next_2d());
+    pub fn sample(scene: &Scene, point: &SurfacePoint, numbers: &mut impl Numbers) -> Option<Self> {
+        let (u_light, u) = (numbers.next_1d(), numbers.next_2d());
         let (index, pmf) = scene.lights.selector().sample(u_light)?;
         let s = scene.lights.get(index)?.sample_li(&scene.light_context(), point.position, u)?;
         let pdf = pmf * s.pdf;
@@ -43,6 +48,8 @@ impl LightDirection {
             weighted_radiance: s.radiance * (1.0 / pdf),
             pdf: if s.is_dirac { f32::INFINITY } else { pdf },
             distance: s.distance,
+            light: index,
+            pmf,
             shadow,
         })
     }
@@ -58,8 +65,14 @@ impl LightDirection {
 /// the emissive surface `hit` at `distance`.
 #[inline]
 pub fn light_pdf(scene: &Scene, from: Vec3, wi: Vec3, distance: f32, hit: &SurfacePoint) -> f32 {
-    let Some(first) = scene.instances[hit.instance as usize].first_emitter else { return 0.0 };
+    let Some((light, pmf)) = light_at(scene, hit) else { return 0.0 };
+    pmf * light.pdf_li(from, wi, distance)
+}
+
+/// The light whose surface `hit` is on, and the probability of choosing it.
+#[inline]
+pub fn light_at<'a>(scene: &'a Scene, hit: &SurfacePoint) -> Option<(&'a Light, f32)> {
+    let first = scene.instances[hit.instance as usize].first_emitter?;
     let index = (first + hit.triangle) as usize;
-    let Some(light) = scene.lights.get(index) else { return 0.0 };
-    scene.lights.selector().pmf(index) * light.pdf_li(from, wi, distance)
+    Some((scene.lights.get(index)?, scene.lights.selector().pmf(index)))
 }

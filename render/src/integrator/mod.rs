@@ -8,7 +8,9 @@
 //!
 //! The partition is by lobe, not by roughness: there is no threshold.
 
+pub mod bdpt;
 pub mod bootstrap;
+pub mod connect;
 pub mod direct;
 pub mod path;
 pub mod photon_map;
@@ -16,6 +18,7 @@ pub mod progressive;
 pub mod radius;
 pub mod sample;
 pub mod tile;
+pub mod vertex;
 
 pub use bootstrap::Bootstrap;
 pub use sample::{FirstHit, Sample};

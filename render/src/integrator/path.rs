@@ -102,7 +102,8 @@ fn add_direct_light(
     }
     let pdf = bsdf.pdf(wo, light.wi, Lobes::ALL, TransportMode::Radiance);
     let weight = heuristic::power(light.pdf, pdf) * bsdf.cos(light.wi);
-    let incident = throughput * light.weighted_radiance * interior.transmittance(scene, light.distance) * weight;
+    let body = interior.leaving(scene, point, wo, light.wi);
+    let incident = throughput * light.weighted_radiance * body.transmittance(scene, light.distance) * weight;
     let part = |lobe| match stage.after(lobe) {
         // Light that reaches the first diffuse surface straight from a light is direct.
         Stage::AfterDiffuse | Stage::BeforeDiffuse => Part::Direct,

@@ -10,9 +10,16 @@ use crate::settings::{Layer, RenderSettings};
 use glam::Vec3;
 use std::ops::Range;
 
-/// Renders the pixels of `rect` (tile `index`): `trace` gives the radiance of each camera sample.
-///
-/// `samples` are the numbers of each pixel's samples. Samples of a pixel are folded in index order in f64; a sample that is not finite is counted and left out.
+/// Which camera sample of the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleId {
+    /// Number of the pixel, row by row from the top left.
+    pub pixel: u64,
+    /// Number of the sample in its pixel.
+    pub sample: u32,
+}
+
+/// Renders the pixels of `rect` (tile `index`): `trace` gives the radiance of each camera sample. See [`render_numbered`].
 #[allow(clippy::too_many_arguments)] // what a pixel depends on, spelled out
 pub fn render(
     index: u32,
@@ -22,6 +29,22 @@ pub fn render(
     space: &SceneSpace,
     samples: Range<u32>,
     mut trace: impl FnMut(Ray, &mut Sampler) -> Sample,
+) -> Tile {
+    render_numbered(index, rect, settings, camera, space, samples, |_, ray, sampler| trace(ray, sampler))
+}
+
+/// Renders camera samples `samples` of the pixels of `rect` (tile `index`): `trace` gives the radiance of each.
+///
+/// Samples of a pixel are folded in index order in f64; a sample that is not finite is counted and left out.
+#[allow(clippy::too_many_arguments)] // what a pixel depends on, spelled out
+pub fn render_numbered(
+    index: u32,
+    rect: TileRect,
+    settings: &RenderSettings,
+    camera: &Camera,
+    space: &SceneSpace,
+    samples: Range<u32>,
+    mut trace: impl FnMut(SampleId, Ray, &mut Sampler) -> Sample,
 ) -> Tile {
     let channels = ChannelSet::new(&settings.layers);
     let mut tile = Tile {
@@ -37,7 +60,8 @@ pub fn render(
             for s in samples.clone() {
                 let mut sampler = Sampler::new(settings.seed, Purpose::Camera, 0, pixel, u64::from(s));
                 let [dx, dy] = sampler.next_2d();
-                let sample = trace(camera.ray(x as f32 + dx, y as f32 + dy), &mut sampler);
+                let id = SampleId { pixel, sample: s };
+                let sample = trace(id, camera.ray(x as f32 + dx, y as f32 + dy), &mut sampler);
                 tile.rays += u64::from(sample.rays);
                 tile.non_finite += u64::from(!sums.add(&sample, camera));
             }

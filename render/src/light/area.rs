@@ -166,9 +166,12 @@ impl AreaLight {
             None => triangle(u),
         };
         let (position, error) = self.position(b);
-        let shadow_target = offset_origin(position, error, self.normal, from - position);
         let d = position - from;
         let distance = d.length();
+        // Besides the point's own error the end of the shadow ray carries that of its direction and length, see
+        // `SurfacePoint::arrival`.
+        let error = error + Vec3::splat(8.0 * f32::EPSILON * distance);
+        let shadow_target = offset_origin(position, error, self.normal, -d);
         if distance == 0.0 {
             return None;
         }
@@ -257,6 +260,13 @@ impl AreaLight {
     #[inline]
     pub fn pdf_direction(&self, cosine: f32) -> f32 {
         if self.double_sided { 0.5 * cosine.abs() * INV_PI } else { cosine.max(0.0) * INV_PI }
+    }
+
+    /// pdf of [`AreaLight::sample_le`] per area and projected solid angle: 1/(A·π) for each face that emits.
+    #[inline]
+    pub fn density_per_etendue(&self) -> f64 {
+        let sides = if self.double_sided { 2.0 } else { 1.0 };
+        1.0 / (f64::from(self.area) * std::f64::consts::PI * sides)
     }
 
     /// π·A·L, for each face that emits.

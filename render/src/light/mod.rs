@@ -175,6 +175,23 @@ impl Light {
             Light::Directional(_) => 0.0,
         }
     }
+    /// How densely the paths of [`Light::sample_le`] land, in proportion to how densely [`Light::sample_li`] looks there.
+    ///
+    /// Emitted along `flight` over `distance`, paths land with pdf (per area) `landing_density` · cosθ / p, where θ is the
+    /// angle on the surface they meet and p the pdf per solid angle of `sample_li` from there (1 for Dirac lights), relative
+    /// to the pdf with which `sample_li` chooses the point they come from. That is emissionPdf·cosθ/(directPdf·cosθ_light)
+    /// of SmallVCM with the terms that cancel left out: 1/(area · π) for each face of an area light, pdf of the direction
+    /// over distance² of point and spot lights, 1/(area of the disc) of directional ones.
+    #[inline]
+    pub fn landing_density(&self, flight: Vec3, distance: f32) -> f64 {
+        let per_square = |pdf: f32| f64::from(pdf) / (f64::from(distance) * f64::from(distance));
+        match self {
+            Light::Area(l) => l.density_per_etendue(),
+            Light::Point(_) => per_square(punctual::SPHERE_PDF),
+            Light::Spot(l) => per_square(l.pdf_direction(flight)),
+            Light::Directional(l) => l.pdf_position(),
+        }
+    }
     /// Whether its `sample_li` is a Dirac direction.
     #[inline]
     pub fn is_dirac(&self) -> bool {

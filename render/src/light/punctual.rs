@@ -201,6 +201,12 @@ impl DirectionalLight {
             pdf_direction: 1.0,
         }
     }
+    /// pdf of [`DirectionalLight::sample_le`] per area of the disc.
+    #[inline]
+    pub fn pdf_position(&self) -> f64 {
+        let r = f64::from(self.scene_radius);
+        1.0 / (std::f64::consts::PI * r * r)
+    }
     /// E·π r²: what crosses the scene's bounding disc.
     pub fn power(&self) -> Rgb {
         self.irradiance * (PI * self.scene_radius * self.scene_radius)

@@ -117,6 +117,17 @@ impl Bsdf {
         }
     }
 
+    /// [`Bsdf::eval`] and [`Bsdf::pdf`] of all lobes at once.
+    #[inline]
+    pub fn eval_pdf(&self, wo: Vec3, wi: Vec3, mode: TransportMode) -> (Rgb, f32) {
+        let transmitted = self.front(wo) != self.front(wi);
+        match &self.layers {
+            Some(layers) => self.eval_layers(layers, wo, wi, self.lobes, transmitted, mode),
+            None if transmitted || self.lobes.is_empty() || !self.lit(wo, wi, mode) => (Rgb::BLACK, 0.0),
+            None => (self.diffuse * INV_PI, self.diffuse_pdf(wo, wi, mode)),
+        }
+    }
+
     /// Samples a direction from the lobes in `lobes`; `u[2]` chooses the lobe. `None` if the sample is absorbed.
     #[inline]
     pub fn sample(&self, wo: Vec3, u: [f32; 3], lobes: Lobes, mode: TransportMode) -> Option<BsdfSample> {
@@ -185,6 +196,12 @@ impl Bsdf {
         }
         let denominator = (wo.dot(self.ng) * wi.dot(self.ns)).abs();
         if denominator > 0.0 { (wo.dot(self.ns) * wi.dot(self.ng)).abs() / denominator } else { 0.0 }
+    }
+
+    /// |cosθ| of `w` with the geometric normal: what converts pdfs between solid angle and area.
+    #[inline]
+    pub fn cos_geometric(&self, w: Vec3) -> f32 {
+        w.dot(self.ng).abs()
     }
 
     #[inline]

@@ -36,5 +36,16 @@ pub enum TransportMode {
     Importance,
 }
 
+impl TransportMode {
+    /// The mode of paths that run the other way.
+    #[inline]
+    pub const fn reversed(self) -> TransportMode {
+        match self {
+            TransportMode::Radiance => TransportMode::Importance,
+            TransportMode::Importance => TransportMode::Radiance,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests;

@@ -3,6 +3,7 @@
 pub mod distribution;
 pub mod frame;
 pub mod heuristic;
+pub mod numbers;
 pub mod ops;
 pub mod rgb;
 pub mod rng;
@@ -12,5 +13,6 @@ pub mod warp;
 
 pub use distribution::AliasTable;
 pub use frame::Frame;
+pub use numbers::Numbers;
 pub use rgb::Rgb;
 pub use rng::{Purpose, Stream};

@@ -22,6 +22,22 @@ impl Interior {
     pub fn transmittance(&self, scene: &Scene, distance: f32) -> Rgb {
         scene.transmittance(self.0, distance)
     }
+    /// The body that a segment runs through which leaves `point` along `wi`, where this is the body of the segment that
+    /// arrived from `wo`.
+    #[inline]
+    pub fn leaving(&self, scene: &Scene, point: &SurfacePoint, wo: Vec3, wi: Vec3) -> Interior {
+        let inside = wi.dot(point.ng) < 0.0;
+        if inside != (wo.dot(point.ng) < 0.0) {
+            return self.crossed(scene, point, wi);
+        }
+        let inner = inside && scene.material(point).absorption().is_some();
+        Interior(self.0.or_else(|| inner.then_some(point.material)))
+    }
+    /// This body, or where none is known the `other`.
+    #[inline]
+    pub fn or(self, other: Interior) -> Interior {
+        Interior(self.0.or(other.0))
+    }
     /// The body after crossing the surface at `point` into direction `wi`.
     #[inline]
     pub fn crossed(&self, scene: &Scene, point: &SurfacePoint, wi: Vec3) -> Interior {

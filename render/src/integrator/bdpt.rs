@@ -1,0 +1,118 @@
+//! Bidirectional path tracing: every strategy (s, t), combined by multiple importance sampling (Lafortune and Willems
+//! 1993; Veach and Guibas 1994; Veach 1997, §10).
+//!
+//! Each camera sample has a light sub-path of its own, made anew where it is needed from its index. What its vertices
+//! show to the camera (t = 1) lands on the light image.
+
+use super::connect::{Connection, Connector, Contribution};
+use super::path::first_hit;
+use super::sample::Sample;
+use super::tile::SampleId;
+use super::vertex::{Merging, Start, Vertex, Walk};
+use crate::film::LightImage;
+use crate::geometry::Ray;
+use crate::material::TransportMode;
+use crate::math::Purpose;
+use crate::math::sobol::Sampler;
+use crate::scene::{Camera, Scene};
+use crate::settings::RenderSettings;
+
+/// The integrator, with the light sub-path of the sample at hand.
+pub struct Bdpt<'a> {
+    connector: Connector<'a>,
+    seed: u64,
+    samples: u32,
+    max_depth: u32,
+    light_path: Vec<Vertex>,
+}
+
+impl<'a> Bdpt<'a> {
+    /// For the samples of a tile.
+    pub fn new(scene: &'a Scene, camera: &'a Camera, settings: &RenderSettings) -> Self {
+        Bdpt {
+            connector: Connector { scene, camera, merging: Merging::NONE, light_paths: 1.0 },
+            seed: settings.seed,
+            samples: settings.samples,
+            max_depth: settings.max_depth.unwrap_or(u32::MAX),
+            light_path: Vec::new(),
+        }
+    }
+
+    /// Radiance along `ray` by all strategies with t ≥ 2; those with t = 1 are added to `light`.
+    pub fn trace(&mut self, id: SampleId, ray: Ray, sampler: &mut Sampler, light: &mut LightImage) -> Sample {
+        let mut sample = Sample::default();
+        let index = id.pixel * u64::from(self.samples) + u64::from(id.sample);
+        light.add_rays(u64::from(self.trace_light_path(index)));
+        self.look_at_light_path(light);
+        let walk = self.walk(TransportMode::Radiance, self.max_depth);
+        let start = Start::camera(self.connector.camera, self.connector.light_paths, ray);
+        sample.rays += walk.run(&start, sampler, |v, sampler| self.gather(v, sampler, &mut sample));
+        sample
+    }
+
+    fn walk(&self, mode: TransportMode, max_length: u32) -> Walk<'a> {
+        Walk { scene: self.connector.scene, mode, merging: self.connector.merging, max_length, roulette: true }
+    }
+
+    /// Makes light sub-path `index`; returns the rays traced.
+    fn trace_light_path(&mut self, index: u64) -> u32 {
+        self.light_path.clear();
+        let mut sampler = Sampler::new(self.seed, Purpose::LightPath, 0, 0, index);
+        let Some(start) = Start::light(self.connector.scene, &mut sampler) else { return 0 };
+        // Its last vertex still needs an edge to the camera.
+        let walk = self.walk(TransportMode::Importance, self.max_depth.saturating_sub(1));
+        let path = &mut self.light_path;
+        walk.run(&start, &mut sampler, |v, _| {
+            if v.is_connectible() {
+                path.push(*v);
+            }
+        })
+    }
+
+    /// t = 1.
+    fn look_at_light_path(&self, light: &mut LightImage) {
+        for v in &self.light_path {
+            let Some((p, connection)) = self.connector.lens(v) else { continue };
+            light.add_rays(1);
+            if let Some(c) = self.unblocked(&connection) {
+                light.splat(0, p.x as u32, p.y as u32, c.weighted());
+            }
+        }
+    }
+
+    /// Everything that ends at or connects to the camera vertex `v`.
+    fn gather(&self, v: &Vertex, sampler: &mut Sampler, sample: &mut Sample) {
+        if v.length == 1 {
+            sample.first = Some(first_hit(&v.point, &v.bsdf, v.wo));
+        }
+        if let Some(c) = self.connector.emission(v) {
+            sample.direct += c.weighted();
+        }
+        if v.length >= self.max_depth {
+            return;
+        }
+        let direct = self.connector.next_event(v, sampler);
+        self.add(direct, sample);
+        if !v.is_connectible() {
+            return;
+        }
+        for l in &self.light_path {
+            // Connected, the path has one edge more than its parts.
+            if u64::from(v.length) + u64::from(l.length) < u64::from(self.max_depth) {
+                self.add(self.connector.connect(v, l), sample);
+            }
+        }
+    }
+
+    fn add(&self, connection: Option<Connection>, sample: &mut Sample) {
+        let Some(connection) = connection else { return };
+        sample.rays += 1;
+        if let Some(c) = self.unblocked(&connection) {
+            sample.direct += c.weighted();
+        }
+    }
+
+    fn unblocked(&self, connection: &Connection) -> Option<Contribution> {
+        (!self.connector.scene.occluded(&connection.shadow)).then_some(connection.contribution)
+    }
+}
