@@ -7,6 +7,7 @@ use crate::error::{SceneError, SettingsError};
 use crate::film::{Accumulator, ChannelSet, Film, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
 use crate::integrator::bdpt::Bdpt;
+use crate::integrator::mlt::Mlt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
 use crate::integrator::{Bootstrap, path, progressive, tile};
 use crate::math::Rgb;
@@ -171,6 +172,10 @@ impl PreparedJob {
         if self.settings.has_independent_rounds() {
             return vec![Phase::Splat { units: u64::from(self.settings.rounds) }];
         }
+        if self.settings.method == Method::Mlt {
+            let chains = u64::from(self.settings.chains);
+            return vec![Phase::Bootstrap { paths: self.settings.bootstrap }, Phase::Splat { units: chains }];
+        }
         (0..self.rounds()).flat_map(|round| self.phases_of_round(round)).collect()
     }
     fn phases_of_round(&self, round: u32) -> impl Iterator<Item = Phase> {
@@ -192,19 +197,27 @@ impl PreparedJob {
     }
     /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
     pub fn light_image(&self) -> Option<LightImage> {
-        let planes = match self.settings.method {
+        let power = self.scene.lights.total_power().max_component();
+        let (planes, scale) = match self.settings.method {
             // Independent rounds need a second plane for alpha.
-            _ if self.settings.has_independent_rounds() => 2,
-            Method::Bdpt => 1,
+            _ if self.settings.has_independent_rounds() => (2, power),
+            Method::Bdpt => (1, power),
+            // Chains splat radiance over luminance.
+            Method::Mlt => (1, 1.0),
             _ => return None,
         };
-        Some(LightImage::new(self.grid(), planes, self.scene.lights.total_power().max_component()))
+        Some(LightImage::new(self.grid(), planes, scale))
     }
     /// The finished film, from the tiles of all rounds done, the light image where there is one, and the number of `units` of
     /// the splat phase that are done.
-    pub fn finish(&self, film: Accumulator, light: Option<&LightImage>, _inputs: &Inputs, units: u64) -> Film {
+    pub fn finish(&self, film: Accumulator, light: Option<&LightImage>, inputs: &Inputs, units: u64) -> Film {
+        let bootstrap = inputs.bootstrap.as_deref();
         match light {
             Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
+            Some(light) if self.settings.method == Method::Mlt => {
+                let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units));
+                film.finish_opaque(light, scale)
+            }
             // Splats are sums over the camera samples of a pixel.
             _ => film.finish(light.map(|light| (light, 1.0 / f64::from(self.settings.samples)))),
         }
@@ -234,14 +247,20 @@ impl PreparedJob {
 
     /// Luminances of the bootstrap paths of `range`, in order, in parallel on the current rayon pool.
     pub fn bootstrap(&self, range: EmissionRange) -> Vec<f32> {
-        vec![0.0; range.len() as usize]
+        self.mlt().bootstrap(range)
     }
 
     /// Computes units `range` of the splat phase, in parallel on the current rayon pool, and adds them to `light`.
-    pub fn splat(&self, _inputs: &Inputs, range: EmissionRange, light: &mut LightImage) {
+    pub fn splat(&self, inputs: &Inputs, range: EmissionRange, light: &mut LightImage) {
         if self.settings.has_independent_rounds() {
             (range.first..range.end).for_each(|round| self.render_round(round as u32, light));
+        } else if let Some(bootstrap) = &inputs.bootstrap {
+            self.mlt().run(bootstrap, range, light);
         }
+    }
+
+    fn mlt(&self) -> Mlt<'_> {
+        Mlt::new(&self.scene, &self.camera, &self.settings)
     }
 
     /// Computes a whole round here: photons, maps and all tiles.

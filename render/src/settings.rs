@@ -46,7 +46,7 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 4] = [Method::Path, Method::Bdpt, Method::Photon, Method::Progressive];
+    pub const ALL: [Method; 5] = [Method::Path, Method::Bdpt, Method::Mlt, Method::Photon, Method::Progressive];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
@@ -63,6 +63,7 @@ impl Method {
     /// no samples of a pixel whose variance could be taken.
     pub const fn layers(self) -> &'static [Layer] {
         match self {
+            Method::Mlt => &[],
             Method::Bdpt => &[Layer::Albedo, Layer::Normal, Layer::Depth, Layer::Position, Layer::Samples],
             _ => &Layer::ALL,
         }

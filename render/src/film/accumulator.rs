@@ -86,6 +86,15 @@ impl Accumulator {
         self.film
     }
 
+    /// The film of a light image alone: its plane 0 times `scale`, opaque. Other channels are black.
+    pub fn finish_opaque(mut self, light: &LightImage, scale: f64) -> Film {
+        let n = self.film.channels.len();
+        self.film.pixels.chunks_exact_mut(n).for_each(|pixel| pixel[3] = 1.0);
+        add_light(&mut self.film, light, scale);
+        self.film.fill();
+        self.film
+    }
+
     /// The film over the rounds done: the mean of the tiles, plus plane 0 of the light image times `light_scale`.
     pub fn finish(mut self, light: Option<(&LightImage, f64)>) -> Film {
         let rounds = self.complete_rounds();

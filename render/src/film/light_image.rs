@@ -31,6 +31,34 @@ pub struct LightImage {
     non_finite: u64,
     /// Rays traced for it.
     rays: u64,
+    mutations: Mutations,
+}
+
+/// What Markov chains did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mutations {
+    /// Large steps.
+    pub large: u64,
+    /// Of them, accepted ones.
+    pub large_accepted: u64,
+    /// Small steps.
+    pub small: u64,
+    /// Of them, accepted ones.
+    pub small_accepted: u64,
+}
+
+impl Mutations {
+    /// Adds what other chains did.
+    pub fn add(&mut self, other: &Mutations) {
+        self.large += other.large;
+        self.large_accepted += other.large_accepted;
+        self.small += other.small;
+        self.small_accepted += other.small_accepted;
+    }
+    /// All steps.
+    pub fn total(&self) -> u64 {
+        self.large + self.small
+    }
 }
 
 /// Why two light images cannot be added.
@@ -49,6 +77,7 @@ impl LightImage {
             blocks: vec![None; (grid.len() * planes.max(1)) as usize],
             non_finite: 0,
             rays: 0,
+            mutations: Mutations::default(),
         }
     }
     /// How the image is cut.
@@ -79,6 +108,23 @@ impl LightImage {
     /// Counts rays.
     pub fn add_rays(&mut self, rays: u64) {
         self.rays += rays;
+    }
+    /// What the Markov chains that splatted on it did.
+    pub fn mutations(&self) -> &Mutations {
+        &self.mutations
+    }
+    /// Counts a mutation.
+    pub fn count_mutation(&mut self, large: bool, accepted: bool) {
+        let one = if large {
+            Mutations { large: 1, large_accepted: u64::from(accepted), ..Mutations::default() }
+        } else {
+            Mutations { small: 1, small_accepted: u64::from(accepted), ..Mutations::default() }
+        };
+        self.add_mutations(&one);
+    }
+    /// Counts mutations.
+    pub fn add_mutations(&mut self, mutations: &Mutations) {
+        self.mutations.add(mutations);
     }
     /// Counts splats that were left out elsewhere.
     pub fn add_non_finite(&mut self, count: u64) {
@@ -126,6 +172,7 @@ impl LightImage {
         }
         self.non_finite += other.non_finite;
         self.rays += other.rays;
+        self.mutations.add(&other.mutations);
         Ok(())
     }
 

@@ -8,7 +8,7 @@ use super::connect::{Connection, Connector, Contribution};
 use super::path::first_hit;
 use super::sample::Sample;
 use super::tile::SampleId;
-use super::vertex::{Merging, Start, Vertex, Walk};
+use super::vertex::{Start, Vertex, Walk};
 use crate::film::LightImage;
 use crate::geometry::Ray;
 use crate::material::TransportMode;
@@ -30,7 +30,7 @@ impl<'a> Bdpt<'a> {
     /// For the samples of a tile.
     pub fn new(scene: &'a Scene, camera: &'a Camera, settings: &RenderSettings) -> Self {
         Bdpt {
-            connector: Connector { scene, camera, merging: Merging::NONE, light_paths: 1.0 },
+            connector: Connector::new(scene, camera),
             seed: settings.seed,
             samples: settings.samples,
             max_depth: settings.max_depth.unwrap_or(u32::MAX),

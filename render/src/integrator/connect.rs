@@ -83,7 +83,12 @@ impl End {
     }
 }
 
-impl Connector<'_> {
+impl<'a> Connector<'a> {
+    /// Connections only, with one light path for each camera sample.
+    pub fn new(scene: &'a Scene, camera: &'a Camera) -> Self {
+        Connector { scene, camera, merging: Merging::NONE, light_paths: 1.0 }
+    }
+
     /// s = 0: the camera vertex `v` lies on a light (ibid. eqs. 43 and 47).
     #[inline]
     pub fn emission(&self, v: &Vertex) -> Option<Contribution> {

@@ -5,6 +5,7 @@ pub mod frame;
 pub mod heuristic;
 pub mod numbers;
 pub mod ops;
+pub mod primary;
 pub mod rgb;
 pub mod rng;
 pub mod roulette;
