@@ -5,7 +5,8 @@
 //! on the way is found by the digest that every payload carries (see [`crate::chunk`]).
 
 use crate::error::WireError;
-use bytes::{BufMut, Bytes, BytesMut};
+use crate::limits::MAX_RESULT_COUNT;
+use bytes::{BufMut, BytesMut};
 use gatherlight_render::film::{Tile, TileGrid};
 use gatherlight_render::photon::EmissionRange;
 
@@ -16,7 +17,7 @@ const TILE_HEADER_BYTES: usize = 20;
 const WHAT: &str = "tiles";
 
 /// Encodes `tiles`, each pixel with `channels` floats.
-pub fn encode(tiles: &[Tile], channels: usize) -> Bytes {
+pub fn encode(tiles: &[Tile], channels: usize) -> BytesMut {
     let floats: usize = tiles.iter().map(|t| t.pixels.len()).sum();
     let mut out = BytesMut::with_capacity(HEADER_BYTES + tiles.len() * TILE_HEADER_BYTES + floats * 4);
     out.put_slice(&MAGIC);
@@ -29,14 +30,19 @@ pub fn encode(tiles: &[Tile], channels: usize) -> Bytes {
         out.put_u64_le(tile.rays);
         tile.pixels.iter().for_each(|&v| out.put_f32_le(v));
     }
-    out.freeze()
+    out
 }
 
-/// Decodes the tiles `range` of an image cut by `grid` with `channels` floats a pixel.
+/// Decodes the tiles `range` of an image cut by `grid` with `channels` floats a pixel; also returns the bytes that follow.
 ///
 /// # Errors
 /// When they are not exactly those tiles, in order, with the right sizes, or a float is not finite.
-pub fn decode(bytes: &[u8], range: EmissionRange, grid: TileGrid, channels: usize) -> Result<Vec<Tile>, WireError> {
+pub fn decode(
+    bytes: &[u8],
+    range: EmissionRange,
+    grid: TileGrid,
+    channels: usize,
+) -> Result<(Vec<Tile>, &[u8]), WireError> {
     let mut reader = Reader { bytes };
     if reader.array::<4>()? != MAGIC {
         return Err(WireError::payload(WHAT, "does not start with GLTI"));
@@ -51,14 +57,12 @@ pub fn decode(bytes: &[u8], range: EmissionRange, grid: TileGrid, channels: usiz
     for index in range.first..range.end {
         expect("tile index", u64::from(reader.u32()?), index)?;
         let (non_finite, rays) = (reader.u64()?, reader.u64()?);
+        WireError::check_limit("samples or rays of a tile", non_finite.max(rays), MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
         let rect = grid.rect(index as u32).ok_or_else(|| WireError::payload(WHAT, "tile outside the image"))?;
         let pixels = reader.floats(rect.width as usize * rect.height as usize * channels)?;
         tiles.push(Tile { index: index as u32, pixels, non_finite, rays });
     }
-    if !reader.bytes.is_empty() {
-        return Err(WireError::payload(WHAT, format!("{} bytes follow the last tile", reader.bytes.len())));
-    }
-    Ok(tiles)
+    Ok((tiles, reader.bytes))
 }
 
 fn expect(what: &str, actual: u64, expected: u64) -> Result<(), WireError> {
@@ -129,18 +133,18 @@ mod tests {
     fn round_trips_with_cropped_edge_tiles() {
         for r in [range(0, 6), range(2, 3), range(5, 6), range(4, 4)] {
             let encoded = encode(&tiles(r), CHANNELS);
-            assert_eq!(decode(&encoded, r, GRID, CHANNELS), Ok(tiles(r)));
+            assert_eq!(decode(&encoded, r, GRID, CHANNELS), Ok((tiles(r), &[][..])));
         }
     }
 
     #[test]
-    fn every_truncation_and_extension_is_an_error() {
+    fn every_truncation_is_an_error_and_what_follows_is_left() {
         let encoded = encode(&tiles(range(5, 6)), CHANNELS);
         for n in 0..encoded.len() {
             assert!(decode(&encoded[..n], range(5, 6), GRID, CHANNELS).is_err(), "{n} bytes");
         }
         let longer = [&encoded[..], &[0]].concat();
-        assert!(decode(&longer, range(5, 6), GRID, CHANNELS).is_err());
+        assert_eq!(decode(&longer, range(5, 6), GRID, CHANNELS), Ok((tiles(range(5, 6)), &[0][..])));
     }
 
     #[test]
