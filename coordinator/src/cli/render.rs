@@ -1,6 +1,7 @@
 //! `gatherlight render`: a whole job on this machine.
 
 use super::error::{CliError, CliResult};
+use super::limits::LimitArgs;
 use super::output::OutputArgs;
 use super::preflight::Preflight;
 use super::progress::{JobView, MessageArgs};
@@ -34,6 +35,8 @@ pub(super) struct RenderArgs {
     /// Compute threads; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Run")]
     threads: usize,
+    #[command(flatten)]
+    limits: LimitArgs,
     /// Treat warnings as errors: no light, no camera, unsupported features
     #[arg(long, help_heading = "Run")]
     strict: bool,
@@ -50,12 +53,13 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     }
     let output = args.output.check()?;
     let (bundle, settings) = args.scene.load()?;
+    let limits = args.limits.limits();
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job);
     preflight.report_warnings(args.strict)?;
     args.messages.note(&preflight.text());
 
-    let config = embedded::Config { threads: args.threads, ..Default::default() };
+    let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
     let mut view = JobView::new(args.messages.style());
     let result = embedded::render_prepared(&bundle, job, &config, |p| view.update(p));
     view.end();

@@ -5,7 +5,7 @@
 use super::{light, tiles};
 use crate::error::WireError;
 use bytes::Bytes;
-use gatherlight_render::film::{LightImage, Tile, TileGrid};
+use gatherlight_render::film::{ChannelSet, LightImage, Tile, TileGrid};
 use gatherlight_render::photon::EmissionRange;
 
 /// Encodes `tiles`, each pixel with `channels` floats, and what their samples splatted.
@@ -17,8 +17,7 @@ pub fn encode(tiles: &[Tile], channels: usize, light: Option<&LightImage>) -> By
     out.freeze()
 }
 
-/// Decodes the tiles `range` of an image cut by `grid` with `channels` floats a pixel, and a light image like the
-/// `empty` one, where there is one.
+/// Decodes the tiles `range` of an image cut by `grid`, and a light image like the `empty` one, where there is one.
 ///
 /// # Errors
 /// When the bytes are not exactly that; see [`tiles::decode`] and [`light::decode`].
@@ -26,7 +25,7 @@ pub fn decode(
     bytes: &[u8],
     range: EmissionRange,
     grid: TileGrid,
-    channels: usize,
+    channels: &ChannelSet,
     empty: Option<&LightImage>,
 ) -> Result<(Vec<Tile>, Option<LightImage>), WireError> {
     let (tiles, rest) = tiles::decode(bytes, range, grid, channels)?;
@@ -51,17 +50,17 @@ mod tests {
 
     #[test]
     fn tiles_come_with_a_light_image_exactly_where_the_job_has_one() {
-        let empty = LightImage::new(GRID, 1, 1.0);
+        let (empty, channels) = (LightImage::new(GRID, 1, 1.0), ChannelSet::new(&[]));
         let mut light = empty.clone();
         light.splat(0, 3, 18, Rgb::new(1.0, 2.0, 3.0));
         let with = encode(&[tile()], 4, Some(&light));
         let without = encode(&[tile()], 4, None);
-        assert_eq!(decode(&with, RANGE, GRID, 4, Some(&empty)), Ok((vec![tile()], Some(light))));
-        assert_eq!(decode(&without, RANGE, GRID, 4, None), Ok((vec![tile()], None)));
-        assert!(decode(&with, RANGE, GRID, 4, None).is_err());
-        assert!(decode(&without, RANGE, GRID, 4, Some(&empty)).is_err());
+        assert_eq!(decode(&with, RANGE, GRID, &channels, Some(&empty)), Ok((vec![tile()], Some(light))));
+        assert_eq!(decode(&without, RANGE, GRID, &channels, None), Ok((vec![tile()], None)));
+        assert!(decode(&with, RANGE, GRID, &channels, None).is_err());
+        assert!(decode(&without, RANGE, GRID, &channels, Some(&empty)).is_err());
         for n in 0..with.len() {
-            assert!(decode(&with[..n], RANGE, GRID, 4, Some(&empty)).is_err(), "{n} bytes");
+            assert!(decode(&with[..n], RANGE, GRID, &channels, Some(&empty)).is_err(), "{n} bytes");
         }
     }
 }

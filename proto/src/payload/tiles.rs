@@ -7,8 +7,9 @@
 use crate::error::WireError;
 use crate::limits::MAX_RESULT_COUNT;
 use bytes::{BufMut, BytesMut};
-use gatherlight_render::film::{Tile, TileGrid};
+use gatherlight_render::film::{ChannelSet, Tile, TileGrid};
 use gatherlight_render::photon::EmissionRange;
+use gatherlight_render::settings::Layer;
 
 const MAGIC: [u8; 4] = *b"GLTI";
 const VERSION: u32 = 1;
@@ -33,22 +34,22 @@ pub fn encode(tiles: &[Tile], channels: usize) -> BytesMut {
     out
 }
 
-/// Decodes the tiles `range` of an image cut by `grid` with `channels` floats a pixel; also returns the bytes that follow.
+/// Decodes the tiles `range` of an image cut by `grid`; also returns the bytes that follow.
 ///
 /// # Errors
-/// When they are not exactly those tiles, in order, with the right sizes, or a float is not finite.
-pub fn decode(
-    bytes: &[u8],
+/// When they are not exactly those tiles, in order, with the right sizes, or a float is not finite that has to be.
+pub fn decode<'b>(
+    bytes: &'b [u8],
     range: EmissionRange,
     grid: TileGrid,
-    channels: usize,
-) -> Result<(Vec<Tile>, &[u8]), WireError> {
+    channels: &ChannelSet,
+) -> Result<(Vec<Tile>, &'b [u8]), WireError> {
     let mut reader = Reader { bytes };
     if reader.array::<4>()? != MAGIC {
         return Err(WireError::payload(WHAT, "does not start with GLTI"));
     }
     expect("version", u64::from(reader.u32()?), u64::from(VERSION))?;
-    expect("channel count", u64::from(reader.u32()?), channels as u64)?;
+    expect("channel count", u64::from(reader.u32()?), channels.len() as u64)?;
     expect("tile count", u64::from(reader.u32()?), range.len())?;
     if range.end > u64::from(grid.len()) {
         return Err(WireError::payload(WHAT, format!("tile {} is outside the image", range.end)));
@@ -59,10 +60,22 @@ pub fn decode(
         let (non_finite, rays) = (reader.u64()?, reader.u64()?);
         WireError::check_limit("samples or rays of a tile", non_finite.max(rays), MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
         let rect = grid.rect(index as u32).ok_or_else(|| WireError::payload(WHAT, "tile outside the image"))?;
-        let pixels = reader.floats(rect.width as usize * rect.height as usize * channels)?;
+        let pixels = reader.floats(rect.width as usize * rect.height as usize * channels.len())?;
+        check_finite(&pixels, channels)?;
         tiles.push(Tile { index: index as u32, pixels, non_finite, rays });
     }
     Ok((tiles, reader.bytes))
+}
+
+/// A worker leaves samples that are not finite out and counts them, so a float that is not finite is a broken worker. Only the
+/// depth of a pixel where nothing was hit is infinite.
+fn check_finite(pixels: &[f32], channels: &ChannelSet) -> Result<(), WireError> {
+    let depth = channels.offset(Layer::Depth);
+    let fine = |(c, v): (usize, &f32)| v.is_finite() || (Some(c) == depth && *v == f32::INFINITY);
+    match pixels.chunks_exact(channels.len()).all(|p| p.iter().enumerate().all(fine)) {
+        true => Ok(()),
+        false => Err(WireError::payload(WHAT, "holds a float that is not finite")),
+    }
 }
 
 fn expect(what: &str, actual: u64, expected: u64) -> Result<(), WireError> {
@@ -99,10 +112,6 @@ impl<'a> Reader<'a> {
     fn floats(&mut self, n: usize) -> Result<Vec<f32>, WireError> {
         let raw = self.take(n * 4)?;
         let floats: Vec<f32> = raw.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        // A worker leaves samples that are not finite out and counts them, so such a float is a broken worker.
-        if floats.iter().any(|v| !v.is_finite()) {
-            return Err(WireError::payload(WHAT, "holds a float that is not finite"));
-        }
         Ok(floats)
     }
 }
@@ -113,6 +122,10 @@ mod tests {
 
     const GRID: TileGrid = TileGrid { width: 40, height: 17 };
     const CHANNELS: usize = 5;
+
+    fn channels() -> ChannelSet {
+        ChannelSet::new(&[Layer::Depth])
+    }
 
     fn tiles(range: EmissionRange) -> Vec<Tile> {
         (range.first as u32..range.end as u32)
@@ -133,7 +146,7 @@ mod tests {
     fn round_trips_with_cropped_edge_tiles() {
         for r in [range(0, 6), range(2, 3), range(5, 6), range(4, 4)] {
             let encoded = encode(&tiles(r), CHANNELS);
-            assert_eq!(decode(&encoded, r, GRID, CHANNELS), Ok((tiles(r), &[][..])));
+            assert_eq!(decode(&encoded, r, GRID, &channels()), Ok((tiles(r), &[][..])));
         }
     }
 
@@ -141,25 +154,32 @@ mod tests {
     fn every_truncation_is_an_error_and_what_follows_is_left() {
         let encoded = encode(&tiles(range(5, 6)), CHANNELS);
         for n in 0..encoded.len() {
-            assert!(decode(&encoded[..n], range(5, 6), GRID, CHANNELS).is_err(), "{n} bytes");
+            assert!(decode(&encoded[..n], range(5, 6), GRID, &channels()).is_err(), "{n} bytes");
         }
         let longer = [&encoded[..], &[0]].concat();
-        assert_eq!(decode(&longer, range(5, 6), GRID, CHANNELS), Ok((tiles(range(5, 6)), &[0][..])));
+        assert_eq!(decode(&longer, range(5, 6), GRID, &channels()), Ok((tiles(range(5, 6)), &[0][..])));
     }
 
     #[test]
     fn other_tiles_than_asked_for_are_errors() {
         let encoded = encode(&tiles(range(1, 3)), CHANNELS);
         for r in [range(0, 2), range(1, 2), range(1, 4), range(1, u64::MAX)] {
-            assert!(decode(&encoded, r, GRID, CHANNELS).is_err(), "{r:?}");
+            assert!(decode(&encoded, r, GRID, &channels()).is_err(), "{r:?}");
         }
-        assert!(decode(&encoded, range(1, 3), GRID, CHANNELS + 1).is_err());
+        assert!(decode(&encoded, range(1, 3), GRID, &ChannelSet::new(&[])).is_err());
     }
 
     #[test]
-    fn a_float_that_is_not_finite_is_an_error() {
+    fn a_float_that_is_not_finite_is_an_error_but_for_an_infinite_depth() {
         let mut bad = tiles(range(0, 1));
-        bad[0].pixels[7] = f32::NAN;
-        assert!(decode(&encode(&bad, CHANNELS), range(0, 1), GRID, CHANNELS).is_err());
+        let mut put = |at: usize, v: f32| {
+            let before = std::mem::replace(&mut bad[0].pixels[at], v);
+            let decoded = decode(&encode(&bad, CHANNELS), range(0, 1), GRID, &channels()).is_ok();
+            bad[0].pixels[at] = before;
+            decoded
+        };
+        assert!(!put(7, f32::NAN) && !put(7, f32::INFINITY));
+        // The depth of nothing.
+        assert!(put(9, f32::INFINITY) && !put(9, f32::NEG_INFINITY) && !put(9, f32::NAN));
     }
 }
