@@ -68,7 +68,8 @@ mod tests {
             .collect();
         std::thread::scope(|scope| {
             for part in images.chunks(16) {
-                scope.spawn(|| {
+                let sum = &sum;
+                scope.spawn(move || {
                     for image in part {
                         sum.put(image.clone());
                         sum.add_waiting().unwrap();
