@@ -5,43 +5,25 @@ use crate::reduce::LightSum;
 use crate::store::Store;
 use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::export::exr;
-use gatherlight_render::film::{Accumulator, Film, LightImage};
+use gatherlight_render::film::{Accumulator, Film};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Inputs, PhotonMaps, PreparedJob};
 use std::sync::Arc;
 
 /// What an image is made of.
 pub(crate) struct Parts {
+    /// The job.
+    pub(crate) prepared: Arc<PreparedJob>,
     /// The tiles of all rounds.
     pub(crate) film: Accumulator,
     /// Rounds of it that must be complete.
     pub(crate) rounds: u32,
-    /// What was splatted, where the method splats.
-    pub(crate) light: Option<Light>,
-}
-
-/// The light image and what scales it.
-pub(crate) struct Light {
-    /// The sum over all leases.
-    pub(crate) sum: Arc<LightSum>,
-    /// The job.
-    pub(crate) prepared: Arc<PreparedJob>,
-    /// Its bootstrap, where it has one.
-    pub(crate) bootstrap: Option<Arc<Bootstrap>>,
-    /// Rounds of the gather phase done, or the job's where it has no gather phase.
-    pub(crate) rounds: u32,
+    /// The sum of what was splatted, where the method splats.
+    pub(crate) light: Option<Arc<LightSum>>,
     /// Units of the splat phase done.
     pub(crate) units: u64,
-}
-
-impl Light {
-    /// The sum, and the factor on it in the image.
-    fn finish(self) -> Result<(LightImage, f64), String> {
-        let empty = self.prepared.light_image().ok_or("the method has no light image")?;
-        let sum = self.sum.finish(empty).map_err(|e| e.to_string())?;
-        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap: self.bootstrap };
-        Ok((sum, self.prepared.light_scale(&inputs, self.rounds, self.units)))
-    }
+    /// The bootstrap, where there is one.
+    pub(crate) bootstrap: Option<Arc<Bootstrap>>,
 }
 
 impl Parts {
@@ -50,8 +32,14 @@ impl Parts {
         if self.film.complete_rounds() != self.rounds {
             return Err("tiles are missing from the image".into());
         }
-        let light = self.light.map(Light::finish).transpose()?;
-        Ok(self.film.finish(light.as_ref().map(|(image, scale)| (image, *scale))))
+        let sum = |light: Arc<LightSum>| {
+            let empty = self.prepared.light_image().ok_or("the method has no light image")?;
+            light.finish(empty).map_err(|e| e.to_string())
+        };
+        let light = self.light.map(sum).transpose()?;
+        // The maps of the last round are gone: an image is finished without them.
+        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap: self.bootstrap };
+        Ok(self.prepared.finish(self.film, light.as_ref(), &inputs, self.units))
     }
 }
 

@@ -77,6 +77,9 @@ pub enum RenderError {
     /// The scene or a setting is at fault.
     #[error(transparent)]
     Job(#[from] gatherlight_render::job::JobError),
+    /// The job was not taken; the text says why.
+    #[error("{0}")]
+    Refused(String),
     /// The job failed; the text says why.
     #[error("{0}")]
     Failed(String),
@@ -144,7 +147,7 @@ async fn rendered(
     let driver = Driver::start(driver_config, compute.clone(), store.clone());
     let spec = spec(bundle, prepared, config.limits);
     shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
-    let job = driver.submit(spec).await.map_err(|e| RenderError::Start(e.to_string()))?;
+    let job = driver.submit(spec).await.map_err(|e| RenderError::Refused(e.to_string()))?;
     let context = Context { driver: driver.clone(), compute, store };
     start_cluster(runtime, context, config, &shared).await;
     let last = follow(&driver, job, progress).await?;

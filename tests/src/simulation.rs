@@ -464,7 +464,9 @@ impl World<'_> {
         for (i, phase) in self.phases[job.0 as usize].iter().enumerate() {
             match *phase {
                 Phase::Gather { round, .. } => rounds = rounds.max(round + 1),
-                Phase::Splat { units: all } => units = Some((all, self.counted.get(&(job, i)).map_or(0, Counted::total))),
+                Phase::Splat { units: all } => {
+                    units = Some((all, self.counted.get(&(job, i)).map_or(0, Counted::total)))
+                }
                 _ => {}
             }
         }

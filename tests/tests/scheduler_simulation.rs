@@ -94,14 +94,8 @@ fn a_time_limit_ends_jobs_with_whole_rounds_and_units_in_any_weather() {
 
 #[test]
 fn a_thousand_workers_keep_busy_over_rounds() {
-    let conditions = Conditions {
-        workers: 1_000,
-        paths: 100_000_000,
-        tiles: 30_000,
-        rounds: 12,
-        jobs: 1,
-        ..Conditions::fair()
-    };
+    let conditions =
+        Conditions { workers: 1_000, paths: 100_000_000, tiles: 30_000, rounds: 12, jobs: 1, ..Conditions::fair() };
     // Seeds of jobs with several rounds of both maps.
     let report = (0..).map(|seed| simulate(seed, &conditions)).find(|r| r.rounds >= 8).unwrap_or_default();
     assert_eq!(report.retried, 0);

@@ -34,11 +34,7 @@ pub fn compute(job: &PreparedJob, inputs: &Inputs, round: u32, range: EmissionRa
 ///
 /// # Errors
 /// When the method has no light image.
-pub fn compute_splat(
-    job: &PreparedJob,
-    inputs: &Inputs,
-    range: EmissionRange,
-) -> Result<(Bytes, Duration), TaskError> {
+pub fn compute_splat(job: &PreparedJob, inputs: &Inputs, range: EmissionRange) -> Result<(Bytes, Duration), TaskError> {
     let begun = Instant::now();
     let mut image = job.light_image().ok_or(TaskError::NoLightImage)?;
     job.splat(inputs, range, &mut image);

@@ -1,5 +1,6 @@
 //! When a job ends before all its rounds are done.
 
+use super::error::CliError;
 use super::format::parse_duration;
 use crate::types::Limits;
 use clap::Args;
@@ -16,8 +17,15 @@ pub(super) struct LimitArgs {
 }
 
 impl LimitArgs {
-    /// The limits.
-    pub(super) fn limits(self) -> Limits {
-        Limits { time: self.time_limit }
+    /// The limits of a job that can end early, or not.
+    ///
+    /// # Errors
+    /// When there is a limit that can never end the job.
+    pub(super) fn limits(self, can_end_early: bool) -> Result<Limits, CliError> {
+        if self.time_limit.is_some() && !can_end_early {
+            let text = "--time-limit ends a job between two rounds or Markov chains, and this one has a single round";
+            return Err(CliError::Usage(text.into()));
+        }
+        Ok(Limits { time: self.time_limit })
     }
 }

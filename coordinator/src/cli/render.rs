@@ -53,10 +53,10 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     }
     let output = args.output.check()?;
     let (bundle, settings) = args.scene.load()?;
-    let limits = args.limits.limits();
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job);
     preflight.report_warnings(args.strict)?;
+    let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };

@@ -55,9 +55,10 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let (bundle, settings) = args.scene.load()?;
     let preflight = Preflight::new(&bundle, &settings)?;
     preflight.report_warnings(args.strict)?;
+    let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
-    let request = SubmitRequest { name, bundle, settings, limits: args.limits.limits() };
+    let request = SubmitRequest { name, bundle, settings, limits };
     args.connection.run(|client| submit(client, args, request, output))
 }
 

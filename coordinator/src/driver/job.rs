@@ -69,7 +69,7 @@ pub(super) struct JobRecord {
 
 impl JobRecord {
     pub(super) fn new(id: JobId, spec: Spec, phases: &[Phase], sink: Option<Arc<dyn Sink>>, now: Duration) -> Self {
-        let live = Live::new(&spec, phases, sink);
+        let live = Live::new(&spec, sink);
         let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();

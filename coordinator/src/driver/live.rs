@@ -1,9 +1,9 @@
 //! Everything heavy of a job that has not ended: results being joined, and what workers read.
 
+use super::Sink;
 use super::handle::{Built, Made, Payload, Source};
 use super::job::Spec;
-use super::Sink;
-use crate::assemble::{Light, Parts};
+use crate::assemble::Parts;
 use crate::reduce::LightSum;
 use crate::schedule::job::Done;
 use crate::types::JobStats;
@@ -37,13 +37,10 @@ struct LightParts {
 
 /// See the module.
 pub(super) struct Live {
-    prepared: Option<Arc<PreparedJob>>,
+    prepared: Arc<PreparedJob>,
     grid: TileGrid,
     channels: ChannelSet,
     rounds: u32,
-    has_gather: bool,
-    /// Maps that are not being built yet, of all rounds.
-    maps_to_build: usize,
     /// Photons by round and map, from the first result to the building of the map.
     mergers: BTreeMap<(u32, MapKind), Merger>,
     /// Luminances by first bootstrap path, until they are joined.
@@ -60,7 +57,7 @@ pub(super) struct Live {
 }
 
 impl Live {
-    pub(super) fn new(spec: &Spec, phases: &[Phase], sink: Option<Arc<dyn Sink>>) -> Self {
+    pub(super) fn new(spec: &Spec, sink: Option<Arc<dyn Sink>>) -> Self {
         let prepared = spec.prepared.clone();
         let light = prepared
             .light_image()
@@ -69,8 +66,6 @@ impl Live {
             grid: prepared.grid(),
             channels: prepared.channels(),
             rounds: prepared.rounds(),
-            has_gather: phases.iter().any(|p| matches!(p, Phase::Gather { .. })),
-            maps_to_build: phases.iter().filter(|p| matches!(p, Phase::Emission { .. })).count(),
             mergers: BTreeMap::new(),
             luminances: BTreeMap::new(),
             bootstrap: None,
@@ -80,7 +75,7 @@ impl Live {
             retired_bytes: 0,
             blobs: spec.manifest.blobs().iter().map(|b| b.digest).collect(),
             sink,
-            prepared: Some(prepared),
+            prepared,
         }
     }
     /// The job's light image, empty, where it has one.
@@ -144,15 +139,9 @@ impl Live {
     }
 
     /// What the map of a round is built from.
-    pub(super) fn take_photons(&mut self, round: u32, kind: MapKind, paths: u64) -> Option<(Merger, Arc<PreparedJob>)> {
+    pub(super) fn take_photons(&mut self, round: u32, kind: MapKind, paths: u64) -> (Merger, Arc<PreparedJob>) {
         let merger = self.mergers.remove(&(round, kind)).unwrap_or_else(|| new_merger(kind, paths));
-        let prepared = self.prepared.clone()?;
-        self.maps_to_build = self.maps_to_build.saturating_sub(1);
-        if self.maps_to_build == 0 && self.light.is_none() {
-            // Nothing here needs the scene any more.
-            self.prepared = None;
-        }
-        Some((merger, prepared))
+        (merger, self.prepared.clone())
     }
     /// What the bootstrap is built from.
     pub(super) fn take_luminances(&mut self) -> BTreeMap<u64, Vec<f32>> {
@@ -191,14 +180,14 @@ impl Live {
         self.mergers.clear();
         let (grid, rounds) = (self.grid, self.rounds);
         let film = self.film.take().unwrap_or_else(|| Accumulator::new(grid, self.channels.clone(), rounds));
-        let light = self.light.take().zip(self.prepared.clone()).map(|(light, prepared)| Light {
-            sum: light.sum,
-            prepared,
-            bootstrap: self.bootstrap.clone(),
-            rounds: if self.has_gather { done.rounds } else { rounds },
+        Parts {
+            prepared: self.prepared.clone(),
+            film,
+            rounds: done.rounds,
+            light: self.light.take().map(|l| l.sum),
             units: done.units,
-        });
-        Parts { film, rounds: done.rounds, light }
+            bootstrap: self.bootstrap.clone(),
+        }
     }
 }
 

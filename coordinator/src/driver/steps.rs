@@ -21,7 +21,7 @@ impl Driver {
         let built = move |result| report(&own, Input::Built(id, phase.round(), flat(result)));
         match phase {
             Phase::Emission { round, map, paths } => {
-                let Some((merger, prepared)) = live.take_photons(round, map, paths) else { return };
+                let (merger, prepared) = live.take_photons(round, map, paths);
                 self.compute.spawn(move || merge::build_map(map, merger, &prepared, sink.as_deref()), built);
             }
             Phase::Bootstrap { paths } => {

@@ -109,7 +109,8 @@ impl Scheduler {
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);
-        let Some((task, phase_of)) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase))) else {
+        let Some((task, phase_of)) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase)))
+        else {
             return;
         };
         let lease = Lease { id, attempt: history.attempts, job, range, task };

@@ -115,7 +115,10 @@ fn a_job_goes_through_its_phases() {
     assert_eq!(b.complete(A, 2), [accept(2), build(0, MapKind::Global, 20)]);
     assert_eq!(b.event(built(0, GLOBAL)), [gather(A, 3, range(0, 2), vec![GLOBAL])]);
     assert_eq!(b.complete(A, 3), [accept(3), gather(A, 4, range(2, 3), vec![GLOBAL])]);
-    assert_eq!(b.complete(A, 4), [accept(4), Command::Assemble { job: JOB, done: Done { rounds: 1, ..Done::default() } }]);
+    assert_eq!(
+        b.complete(A, 4),
+        [accept(4), Command::Assemble { job: JOB, done: Done { rounds: 1, ..Done::default() } }]
+    );
     let end = [Command::Forget { worker: A, job: JOB }, finish(Outcome::Done)];
     assert_eq!(b.event(Event::Assembled { job: JOB }), end);
     assert!(b.scheduler.job(JOB).is_none());
@@ -143,7 +146,10 @@ fn the_next_map_is_traced_while_one_is_merged_and_tiles_wait_for_both() {
     let phases = vec![phase(MapKind::Global), phase(MapKind::Caustic), Phase::Gather { round: 0, tiles: 1 }];
     b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
     b.join(A);
-    let caustic = Command::Assign { worker: A, lease: lease(2, 1, range(0, 10), Task::Emission { round: 0, map: MapKind::Caustic }) };
+    let caustic = Command::Assign {
+        worker: A,
+        lease: lease(2, 1, range(0, 10), Task::Emission { round: 0, map: MapKind::Caustic }),
+    };
     let build = |kind| build(0, kind, 10);
     assert_eq!(b.complete(A, 1), [accept(1), build(MapKind::Global), caustic]);
     assert_eq!(b.complete(A, 2), [accept(2), build(MapKind::Caustic)]);

@@ -58,7 +58,12 @@ pub fn decode<'b>(
     for index in range.first..range.end {
         expect("tile index", u64::from(reader.u32()?), index)?;
         let (non_finite, rays) = (reader.u64()?, reader.u64()?);
-        WireError::check_limit("samples or rays of a tile", non_finite.max(rays), MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
+        WireError::check_limit(
+            "samples or rays of a tile",
+            non_finite.max(rays),
+            MAX_RESULT_COUNT,
+            "MAX_RESULT_COUNT",
+        )?;
         let rect = grid.rect(index as u32).ok_or_else(|| WireError::payload(WHAT, "tile outside the image"))?;
         let pixels = reader.floats(rect.width as usize * rect.height as usize * channels.len())?;
         check_finite(&pixels, channels)?;
