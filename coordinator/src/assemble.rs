@@ -1,19 +1,54 @@
-//! Tiles → image. Runs on the compute threads.
+//! Tiles and light image → image. Runs on the compute threads.
 
 use crate::driver::{Image, KeepImage};
+use crate::reduce::LightSum;
 use crate::store::Store;
 use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::export::exr;
-use gatherlight_render::film::Film;
+use gatherlight_render::film::{Accumulator, Film};
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Inputs, PhotonMaps, PreparedJob};
+use std::sync::Arc;
+
+/// What an image is made of.
+pub(crate) struct Parts {
+    /// The job.
+    pub(crate) prepared: Arc<PreparedJob>,
+    /// The tiles of all rounds.
+    pub(crate) film: Accumulator,
+    /// Rounds of it that must be complete.
+    pub(crate) rounds: u32,
+    /// The sum of what was splatted, where the method splats.
+    pub(crate) light: Option<Arc<LightSum>>,
+    /// Units of the splat phase done.
+    pub(crate) units: u64,
+    /// The bootstrap, where there is one.
+    pub(crate) bootstrap: Option<Arc<Bootstrap>>,
+}
+
+impl Parts {
+    /// The whole film.
+    fn film(self) -> Result<Film, String> {
+        if self.film.complete_rounds() != self.rounds {
+            return Err("tiles are missing from the image".into());
+        }
+        let sum = |light: Arc<LightSum>| {
+            let empty = self.prepared.light_image().ok_or("the method has no light image")?;
+            light.finish(empty).map_err(|e| e.to_string())
+        };
+        let light = self.light.map(sum).transpose()?;
+        // The maps of the last round are gone: an image is finished without them.
+        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap: self.bootstrap };
+        Ok(self.prepared.finish(self.film, light.as_ref(), &inputs, self.units))
+    }
+}
 
 /// Finishes the image as `keep` says.
 ///
 /// # Errors
 /// When tiles are missing, or the image cannot be encoded or stored.
-pub(crate) fn finish(film: Film, metadata: &ImageMetadata, keep: KeepImage, store: &Store) -> Result<Image, String> {
-    if !film.is_complete() {
-        return Err("tiles are missing from the image".into());
-    }
+pub(crate) fn finish(parts: Parts, metadata: &ImageMetadata, keep: KeepImage, store: &Store) -> Result<Image, String> {
+    let film = parts.film()?;
     match keep {
         KeepImage::Film => Ok(Image::Film(film, Box::new(metadata.clone()))),
         KeepImage::Exr => {

@@ -2,7 +2,7 @@
 
 use crate::manifest;
 use crate::random::random_u64;
-use crate::types::{JobId, JobProgress, WorkerInfo};
+use crate::types::{JobId, JobProgress, Limits, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::chunk::{Assembler, chunks};
 use gatherlight_proto::connect::{Stamp, endpoint, pause, reason};
@@ -79,6 +79,8 @@ pub struct SubmitRequest {
     pub bundle: SceneBundle,
     /// What determines the image.
     pub settings: RenderSettings,
+    /// When to end it early.
+    pub limits: Limits,
 }
 
 /// A finished image.
@@ -202,6 +204,7 @@ impl Client {
             scene: Some((&manifest).into()),
             settings: Some((&request.settings).into()),
             request_key: request_key.into(),
+            limits: Some(request.limits.into()),
         };
         let reply = self.jobs.clone().submit(submission).await.map_err(|s| self.failed(&s))?;
         Ok(JobId(reply.into_inner().job))

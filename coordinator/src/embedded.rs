@@ -2,17 +2,19 @@
 //! here that knows the worker.
 
 use crate::compute::Compute;
-use crate::driver::{Driver, DriverConfig, Handle, KeepImage, Spec};
+use crate::driver::{Driver, DriverConfig, Handle, KeepImage, Sink, Spec};
 use crate::manifest;
 use crate::random::random_u64;
 use crate::schedule::Policy;
 use crate::service::{self, Context};
 use crate::store::Store;
-use crate::types::{JobId, JobProgress, JobResult, JobState};
+use crate::types::{JobId, JobProgress, JobResult, JobState, Limits};
+use gatherlight_proto::Digest;
 use gatherlight_proto::connect::tuned;
 use gatherlight_proto::limits::HEARTBEAT;
 use gatherlight_render::import::SceneBundle;
-use gatherlight_render::job::PreparedJob;
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{PhotonMap, PreparedJob};
 use gatherlight_render::settings::RenderSettings;
 use gatherlight_worker::{Connector, Faults, Shared, WorkerConfig};
 use hyper_util::rt::TokioIo;
@@ -32,7 +34,7 @@ const PIPE_BYTES: usize = 1 << 20;
 /// Least time between two calls of a progress callback.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Where to compute; cannot change the image.
+/// Where and how long to compute; cannot change the image but for the rounds or units that a limit leaves out.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Compute threads of each worker; 0: one per core.
@@ -41,13 +43,31 @@ pub struct Config {
     pub workers: usize,
     /// The scheduler's constants.
     pub policy: Policy,
+    /// When to end the job early.
+    pub limits: Limits,
     /// Misbehaviour of the workers, by number, for tests.
     pub faults: Vec<Faults>,
 }
 
+/// What workers of this process read, shared with them.
+struct InProcess(Shared);
+
+impl Sink for InProcess {
+    fn offer_map(&self, digest: Digest, map: PhotonMap) {
+        self.0.offer_map(digest, Arc::new(map));
+    }
+    fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>) {
+        self.0.offer_bootstrap(digest, bootstrap);
+    }
+    fn withdraw(&self, digest: Digest) {
+        self.0.withdraw(digest);
+    }
+}
+
 impl Default for Config {
     fn default() -> Self {
-        Config { threads: 0, workers: 1, policy: Policy::default(), faults: Vec::new() }
+        let (policy, limits) = (Policy::default(), Limits::default());
+        Config { threads: 0, workers: 1, policy, limits, faults: Vec::new() }
     }
 }
 
@@ -57,6 +77,9 @@ pub enum RenderError {
     /// The scene or a setting is at fault.
     #[error(transparent)]
     Job(#[from] gatherlight_render::job::JobError),
+    /// The job was not taken; the text says why.
+    #[error("{0}")]
+    Refused(String),
     /// The job failed; the text says why.
     #[error("{0}")]
     Failed(String),
@@ -110,7 +133,6 @@ async fn rendered(
 ) -> Result<JobResult, RenderError> {
     let compute = Compute::new(config.threads).map_err(RenderError::Start)?;
     let shared = Shared::default();
-    let maps = shared.clone();
     let driver_config = DriverConfig {
         // Nobody else will turn up in this process.
         policy: Policy { patience: Duration::ZERO, ..config.policy.clone() },
@@ -119,13 +141,13 @@ async fn rendered(
         max_job_bytes: u64::MAX,
         keep: KeepImage::Film,
         heartbeat: HEARTBEAT,
-        map_sink: Some(Arc::new(move |digest, map| maps.offer_map(digest, Arc::new(map)))),
+        sink: Some(Arc::new(InProcess(shared.clone()))),
     };
     let store = Arc::new(Store::memory());
     let driver = Driver::start(driver_config, compute.clone(), store.clone());
-    let spec = spec(bundle, prepared);
+    let spec = spec(bundle, prepared, config.limits);
     shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
-    let job = driver.submit(spec).await.map_err(|e| RenderError::Start(e.to_string()))?;
+    let job = driver.submit(spec).await.map_err(|e| RenderError::Refused(e.to_string()))?;
     let context = Context { driver: driver.clone(), compute, store };
     start_cluster(runtime, context, config, &shared).await;
     let last = follow(&driver, job, progress).await?;
@@ -138,11 +160,11 @@ async fn rendered(
     Ok(JobResult { film, metadata, stats: last.stats, elapsed: last.elapsed })
 }
 
-fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>) -> Spec {
+fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>, limits: Limits) -> Spec {
     let mut request_key = [0; 16];
     request_key[..8].copy_from_slice(&random_u64().to_le_bytes());
     let (manifest, _) = manifest::pack(bundle);
-    Spec { name: bundle.name.clone(), request_key, manifest, settings: prepared.settings().clone(), prepared }
+    Spec { name: bundle.name.clone(), request_key, manifest, settings: prepared.settings().clone(), limits, prepared }
 }
 
 /// The coordinator's services and the workers, joined by pipes.

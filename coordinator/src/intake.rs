@@ -3,7 +3,7 @@
 use crate::compute::Compute;
 use crate::driver::{Handle, Spec, SubmitError};
 use crate::store::Store;
-use crate::types::JobId;
+use crate::types::{JobId, Limits};
 use gatherlight_proto::message::{BlobRef, SceneManifest};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{JobError, PreparedJob};
@@ -21,6 +21,8 @@ pub(crate) struct Submission {
     pub(crate) manifest: SceneManifest,
     /// What determines the image.
     pub(crate) settings: RenderSettings,
+    /// When to end it early.
+    pub(crate) limits: Limits,
 }
 
 /// Why a submission did not become a job.
@@ -53,7 +55,7 @@ pub(crate) async fn submit(
     if let Some(job) = driver.find(submission.request_key).await {
         return Ok(job);
     }
-    let Submission { name, request_key, manifest, settings } = submission;
+    let Submission { name, request_key, manifest, settings, limits } = submission;
     let (files, own) = (manifest.clone(), settings.clone());
     let blobs = store.clone();
     let prepare = move || {
@@ -62,7 +64,7 @@ pub(crate) async fn submit(
     };
     let prepared = compute.run(prepare).await.map_err(|e| IntakeError::Internal(e.to_string()))??;
     let prepared = Arc::new(prepared);
-    Ok(driver.submit(Spec { name, request_key, manifest, settings, prepared }).await?)
+    Ok(driver.submit(Spec { name, request_key, manifest, settings, limits, prepared }).await?)
 }
 
 fn load(store: &Store, manifest: &SceneManifest) -> Result<SceneBundle, IntakeError> {

@@ -17,6 +17,7 @@ mod intake;
 mod manifest;
 mod merge;
 mod random;
+mod reduce;
 pub mod report;
 pub mod schedule;
 pub mod server;

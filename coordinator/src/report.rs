@@ -3,7 +3,7 @@
 use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
 use gatherlight_render::film::Film;
-use gatherlight_render::job::PreparedJob;
+use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::MapKind;
 use gatherlight_render::plan::{Plan, PlanEntry};
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
@@ -16,19 +16,24 @@ use std::time::Duration;
 pub struct About {
     scene_digest: String,
     plan: Vec<String>,
+    has_rounds: bool,
+    has_units: bool,
     /// Largest gather radius of each map that is built, in world units.
     pub gather_radii: BTreeMap<MapKind, f32>,
 }
 
 impl About {
     /// What `job` says before it starts.
-    pub fn new(job: &PreparedJob) -> Self {
+    pub fn new(job: &PreparedJob, phases: &[Phase]) -> Self {
         let (scene_digest, plan) = (job.scene_digest().to_string(), plan_lines(job.plan()));
-        About { scene_digest, plan, gather_radii: BTreeMap::new() }
+        let has_units = phases.iter().any(|p| matches!(p, Phase::Splat { .. }));
+        let has_gather = phases.iter().any(|p| matches!(p, Phase::Gather { .. }));
+        let has_rounds = has_gather && job.settings().method.has_rounds();
+        About { scene_digest, plan, has_rounds, has_units, gather_radii: BTreeMap::new() }
     }
 
     /// The attributes of the finished image: the same wherever the job ran, because nothing in them depends on where
-    /// or how fast it did.
+    /// or how fast it did, unless a limit ended it: then they say what was done until then.
     pub fn metadata(&self, settings: &RenderSettings, stats: &JobStats) -> ImageMetadata {
         let map = |m: &MapStats| MapMetadata {
             kind: m.kind,
@@ -43,6 +48,8 @@ impl About {
             maps: stats.maps.iter().map(map).collect(),
             plan: self.plan.clone(),
             non_finite: stats.non_finite,
+            rounds: self.has_rounds.then_some(stats.rounds_done),
+            units: self.has_units.then_some(stats.units_done),
         }
     }
 }
@@ -129,6 +136,7 @@ impl Summary {
                 grouped(m.emitted_count)
             ));
         }
+        text.push_str(&self.ended_text());
         let rate = t.rays as f64 / self.elapsed.as_secs_f64().max(1e-9);
         text.push_str(&format!("\n{} rays, {}/s", count(t.rays as f64), count(rate)));
         if let (Some(radius), Method::Photon) = (t.gather_radius, s.method) {
@@ -141,6 +149,18 @@ impl Summary {
             text.push_str(&format!(" · {} samples were not finite and left out", grouped(t.non_finite)));
         }
         text
+    }
+
+    /// A line on what the image is the mean of, where a limit ended the job early.
+    fn ended_text(&self) -> String {
+        use crate::cli::format::grouped;
+        let (s, t) = (&self.settings, &self.stats);
+        let Some(limit) = t.ended_by else { return String::new() };
+        let what = match t.units_done {
+            0 => format!("{} of {} rounds", grouped(t.rounds_done.into()), grouped(s.rounds.into())),
+            units => format!("{} units", grouped(units)),
+        };
+        format!("\nended by the {} limit: the image is the mean of {what}", limit.name())
     }
 
     /// For scripts.
@@ -186,6 +206,9 @@ pub fn stats_json(t: &JobStats) -> Value {
         "retried_leases": t.retried_leases,
         "result_bytes": t.result_bytes,
         "broadcast_bytes": t.broadcast_bytes,
+        "rounds_done": t.rounds_done,
+        "units_done": t.units_done,
+        "ended_by": t.ended_by.map(|l| l.name()),
     })
 }
 

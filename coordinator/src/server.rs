@@ -106,7 +106,7 @@ impl Server {
             max_job_bytes: config.max_job_bytes,
             keep: KeepImage::Exr,
             heartbeat: HEARTBEAT,
-            map_sink: None,
+            sink: None,
         };
         let driver = Driver::start(driver_config, compute.clone(), store.clone());
         Ok(Server { listener, address, context: Context { driver, compute, store } })

@@ -4,7 +4,9 @@ use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::Film;
 use std::time::Duration;
 
-pub use gatherlight_proto::types::{JobId, JobProgress, JobState, JobStats, MapStats, ParseJobIdError, WorkerInfo};
+pub use gatherlight_proto::types::{
+    JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, ParseJobIdError, WorkerInfo,
+};
 
 /// A finished job of [`crate::embedded::render`].
 #[derive(Clone, Debug)]

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 /// Version of messages and payload layouts; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;
 /// Metadata key of the sender's [`PROTOCOL_VERSION`].
 pub const PROTOCOL_KEY: &str = "gatherlight-protocol";
 /// Metadata key of the sender's program version.
@@ -18,7 +18,13 @@ pub const MAX_MESSAGE_BYTES: usize = CHUNK_BYTES + (64 << 10);
 pub const MAX_RESULT_BYTES: u64 = 1 << 30;
 /// Most photons of one batch, and so of one lease's result.
 pub const MAX_BATCH_PHOTONS: u64 = 1 << 25;
-/// Largest encoded photon map.
+/// Most rays or left-out samples that one tile or light image may count; keeps their sums within 64 bits.
+pub const MAX_RESULT_COUNT: u64 = 1 << 48;
+/// Most paths of one bootstrap.
+pub const MAX_BOOTSTRAP_PATHS: u64 = 1 << 32;
+/// Longest time limit of a job.
+pub const MAX_TIME_LIMIT: Duration = Duration::from_secs(366 * 24 * 3600);
+/// Largest encoded photon map or bootstrap.
 pub const MAX_MAP_BYTES: u64 = 64 << 30;
 /// Largest scene file, buffer or image.
 pub const MAX_BLOB_BYTES: u64 = 16 << 30;

@@ -25,13 +25,39 @@ pub struct MapRef {
     pub bytes: u64,
 }
 
+/// What later phases read, once it is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InputRef {
+    /// A photon map.
+    Map(MapRef),
+    /// The joined bootstrap.
+    Bootstrap(BlobRef),
+}
+
 /// What to do with a lease's indices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// Trace these photon paths for a map.
-    Emission(MapKind),
-    /// Render these tiles, reading these maps.
-    Gather(Vec<MapRef>),
+    /// Trace these photon paths.
+    Emission {
+        /// The round, from 0.
+        round: u32,
+        /// For this map.
+        map: MapKind,
+    },
+    /// Trace these bootstrap paths.
+    Bootstrap,
+    /// Compute these units of the splat phase.
+    Splat {
+        /// The bootstrap they read, where there is one.
+        bootstrap: Option<BlobRef>,
+    },
+    /// Render these tiles.
+    Gather {
+        /// The round, from 0.
+        round: u32,
+        /// The maps they read.
+        maps: Vec<MapRef>,
+    },
 }
 
 /// Indices of one phase of one job, given to one worker for a time.

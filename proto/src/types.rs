@@ -41,6 +41,10 @@ pub enum JobState {
     Merge(MapKind),
     /// The maps are on their way to the workers.
     Broadcast,
+    /// Bootstrap paths are being traced.
+    Bootstrap,
+    /// Units that splat onto the light image are being computed.
+    Splat,
     /// Tiles are being rendered.
     Gather,
     /// All tiles are there; the image is being put together and encoded.
@@ -54,13 +58,16 @@ pub enum JobState {
 }
 
 impl JobState {
-    /// Name in listings: `waiting`, `emission`, `merge`, `broadcast`, `gather`, `assemble`, `done`, `failed`, `cancelled`.
+    /// Name in listings: `waiting`, `emission`, `merge`, `broadcast`, `bootstrap`, `splat`, `gather`, `assemble`, `done`,
+    /// `failed`, `cancelled`.
     pub const fn name(&self) -> &'static str {
         match self {
             JobState::Waiting => "waiting",
             JobState::Emission(_) => "emission",
             JobState::Merge(_) => "merge",
             JobState::Broadcast => "broadcast",
+            JobState::Bootstrap => "bootstrap",
+            JobState::Splat => "splat",
             JobState::Gather => "gather",
             JobState::Assemble => "assemble",
             JobState::Done => "done",
@@ -74,7 +81,31 @@ impl JobState {
     }
 }
 
-/// Counts of one photon map.
+/// When to end a job before all its rounds or units are done. Like a configuration, it is no part of the settings: the image
+/// says how many rounds or units it is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Limits {
+    /// Time since the submission, after which no further round or unit is begun.
+    pub time: Option<Duration>,
+}
+
+/// A limit that ended a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// [`Limits::time`].
+    Time,
+}
+
+impl Limit {
+    /// Name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Limit::Time => "time",
+        }
+    }
+}
+
+/// Counts of one photon map, or of all rounds' maps of its kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapStats {
     /// Which map.
@@ -85,7 +116,7 @@ pub struct MapStats {
     pub emitted_total: u64,
     /// Photons stored so far.
     pub stored_count: u64,
-    /// Bytes of the map as broadcast; 0 until it is built.
+    /// Bytes of the maps built so far, as broadcast.
     pub bytes: u64,
 }
 
@@ -94,9 +125,9 @@ pub struct MapStats {
 pub struct JobStats {
     /// Per photon map, in canonical order; empty where the method needs none.
     pub maps: Vec<MapStats>,
-    /// Rays traced by the gather pass.
+    /// Rays traced by gather and splat phases.
     pub rays: u64,
-    /// Samples left out because they were not finite.
+    /// Samples and splats left out because they were not finite.
     pub non_finite: u64,
     /// Largest gather radius, in world units, once known: given or chosen from the map's density.
     pub gather_radius: Option<f32>,
@@ -108,8 +139,14 @@ pub struct JobStats {
     pub retried_leases: u64,
     /// Bytes of results received from workers.
     pub result_bytes: u64,
-    /// Bytes of maps sent to workers.
+    /// Bytes of maps and bootstraps sent to workers.
     pub broadcast_bytes: u64,
+    /// Rounds of the gather phase that are complete.
+    pub rounds_done: u32,
+    /// Units of the splat phase done: Markov chains, or whole rounds.
+    pub units_done: u64,
+    /// The limit that ended the job before its last round or unit.
+    pub ended_by: Option<Limit>,
 }
 
 /// A snapshot of one job.
@@ -121,7 +158,11 @@ pub struct JobProgress {
     pub name: String,
     /// Where it stands.
     pub state: JobState,
-    /// Units of the present state done: paths, bytes (broadcast) or tiles.
+    /// The round that is worked on, from 0.
+    pub round: u32,
+    /// Rounds in all, ≥ 1.
+    pub rounds: u32,
+    /// Units of the present state done: paths, bytes (broadcast), units or tiles.
     pub done: u64,
     /// Units of the present state in all; 0 where it has none.
     pub total: u64,

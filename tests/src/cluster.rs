@@ -3,7 +3,7 @@
 use gatherlight::client::{self, Client, SubmitRequest};
 use gatherlight::schedule::Policy;
 use gatherlight::server::{ServeConfig, Server};
-use gatherlight::types::{JobId, JobProgress, JobState};
+use gatherlight::types::{JobId, JobProgress, JobState, Limits};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::settings::RenderSettings;
 use gatherlight_worker::{Connector, Faults, WorkerConfig, WorkerError};
@@ -162,7 +162,8 @@ impl Drop for Worker {
 
 /// A request to render `bundle`.
 pub fn request(bundle: &SceneBundle, settings: &RenderSettings) -> SubmitRequest {
-    SubmitRequest { name: bundle.name.clone(), bundle: bundle.clone(), settings: settings.clone() }
+    let limits = Limits::default();
+    SubmitRequest { name: bundle.name.clone(), bundle: bundle.clone(), settings: settings.clone(), limits }
 }
 
 /// Watches a job until `enough` is seen.

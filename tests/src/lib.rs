@@ -57,6 +57,8 @@ pub fn film_pixels_sha256(film: &gatherlight_render::film::Film) -> String {
         maps: Vec::new(),
         plan: Vec::new(),
         non_finite: 0,
+        rounds: None,
+        units: None,
     };
     pixel_sha256(&encode(film, &meta).expect("an EXR file"))
 }

@@ -1,9 +1,10 @@
 //! A virtual cluster around the real scheduler: virtual workers, network and clock, all drawn from one seed.
 
+use gatherlight::schedule::job::Done;
 use gatherlight::schedule::{Command, Event, Outcome, Policy, Scheduler};
-use gatherlight::types::JobId;
+use gatherlight::types::{JobId, Limits};
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{Lease, LeaseId, MapRef, Task, WorkerId};
+use gatherlight_proto::message::{BlobRef, InputRef, Lease, LeaseId, MapRef, Task, WorkerId};
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use std::cmp::Reverse;
@@ -29,6 +30,10 @@ pub struct Conditions {
     pub paths: u64,
     /// Tiles of each job, at most.
     pub tiles: u32,
+    /// Rounds of each job, at most; with more than one, some jobs have a bootstrap and a splat phase instead.
+    pub rounds: u32,
+    /// Time limit of the jobs, in microseconds.
+    pub time_limit: Option<u64>,
     /// Probability that a worker crashes at a task, to come back as a new session a while later.
     pub crash: f64,
     /// Probability that a worker stalls at a task for up to a minute, heartbeats included.
@@ -54,6 +59,8 @@ impl Conditions {
             jobs: 2,
             paths: 2_000_000,
             tiles: 400,
+            rounds: 1,
+            time_limit: None,
             crash: 0.0,
             stall: 0.0,
             fail: 0.0,
@@ -78,6 +85,12 @@ pub struct Report {
     pub jobs: usize,
     /// Jobs that failed.
     pub failed: usize,
+    /// Jobs that a limit ended.
+    pub cut_off: usize,
+    /// Gather rounds in images.
+    pub rounds: u64,
+    /// Most phases in progress at once in one job.
+    pub widest_window: usize,
     /// Leases handed out again.
     pub retried: u64,
     /// Results that did not count.
@@ -168,7 +181,9 @@ struct World<'c> {
     to_worker: BTreeMap<u64, Command>,
     to_scheduler: BTreeMap<u64, Event>,
     phases: Vec<Vec<Phase>>,
-    counted: BTreeMap<(JobId, Option<MapKind>), Counted>,
+    counted: BTreeMap<(JobId, usize), Counted>,
+    /// What the images are made of, as it was said when they were put together.
+    made_of: BTreeMap<JobId, Done>,
     open: BTreeSet<JobId>,
     report: Report,
     first_lease: Option<u64>,
@@ -194,6 +209,7 @@ pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
         to_scheduler: BTreeMap::new(),
         phases: Vec::new(),
         counted: BTreeMap::new(),
+        made_of: BTreeMap::new(),
         open: BTreeSet::new(),
         report: Report { seed, jobs: conditions.jobs, ..Report::default() },
         first_lease: None,
@@ -215,15 +231,22 @@ impl World<'_> {
             let paths = |r: &mut Random, most| r.below(most) + most / 8;
             let (global, caustic) = (paths(&mut self.random, self.conditions.paths), self.conditions.paths / 3);
             let tiles = self.random.below(u64::from(self.conditions.tiles)) as u32 + self.conditions.tiles / 4 + 1;
-            let emission = |map, paths| Phase::Emission { round: 0, map, paths };
-            let all = [
-                emission(MapKind::Global, global),
-                emission(MapKind::Caustic, caustic),
-                Phase::Gather { round: 0, tiles },
-            ];
+            let all = |round| {
+                let emission = move |map, paths| Phase::Emission { round, map, paths };
+                [emission(MapKind::Global, global), emission(MapKind::Caustic, caustic), Phase::Gather { round, tiles }]
+            };
             // With both maps, with one, or without photons.
             let skip = if self.conditions.jobs == 1 { 0 } else { self.random.below(3) as usize };
-            self.phases.push(all[skip..].to_vec());
+            let most = self.conditions.rounds;
+            let rounds = if most > 1 { 1 + self.random.below(u64::from(most)) as u32 } else { 1 };
+            let chains = most > 1 && self.random.chance(0.3);
+            let (bootstrap, splat) = (Phase::Bootstrap { paths: global }, Phase::Splat { units: u64::from(tiles) });
+            self.phases.push(match (chains, skip) {
+                (true, 0) => vec![bootstrap, splat, Phase::Gather { round: 0, tiles }],
+                (true, 1) => vec![bootstrap, splat],
+                (true, _) => vec![splat],
+                (false, _) => (0..rounds).flat_map(|r| all(r)[skip..].to_vec()).collect(),
+            });
             self.open.insert(JobId(i as u64));
             let at = self.random.below(3_000_000) * u64::from(self.conditions.jobs > 1);
             self.plan(at, Due::Submit(i));
@@ -275,7 +298,8 @@ impl World<'_> {
         match due {
             Due::Submit(i) => {
                 let phases = self.phases[i].clone();
-                self.event(Event::Submitted { job: JobId(i as u64), phases });
+                let limits = Limits { time: self.conditions.time_limit.map(Duration::from_micros) };
+                self.event(Event::Submitted { job: JobId(i as u64), phases, limits });
             }
             Due::Join { speed, broken } => {
                 self.last_worker += 1;
@@ -326,12 +350,7 @@ impl World<'_> {
             return;
         }
         let lease = w.queue.remove(0);
-        let units = match lease.task {
-            Task::Emission(_) => lease.range.len(),
-            // A tile takes as long as some thousand paths.
-            Task::Gather(_) => lease.range.len() * 1_000,
-        };
-        let time = units * 1_000_000 / w.speed + 1;
+        let time = cost(&lease.task) * lease.range.len() * 1_000_000 / w.speed + 1;
         w.busy += time;
         w.computing = Some(lease);
         if self.random.chance(self.conditions.crash) {
@@ -353,8 +372,7 @@ impl World<'_> {
             let error = "virtual failure".to_owned();
             self.send(Event::TaskFailed { worker, lease, attempt, error }, worker);
         } else {
-            let scale = if matches!(task, Task::Emission(_)) { 1 } else { 1_000 };
-            let busy = Duration::from_micros(range.len() * scale * 1_000_000 / speed + 1);
+            let busy = Duration::from_micros(range.len() * cost(&task) * 1_000_000 / speed + 1);
             let stored = range.len() / 2;
             let done = Event::Completed { worker, lease, attempt, range, busy, stored };
             if self.random.chance(self.conditions.repeat) {
@@ -369,7 +387,7 @@ impl World<'_> {
     fn event(&mut self, event: Event) {
         let completed = match &event {
             Event::Completed { lease, range, .. } => {
-                self.scheduler.lease(*lease).map(|l| (*lease, l.lease.job, l.lease.task.clone(), *range))
+                self.scheduler.lease(*lease).map(|l| (*lease, l.lease.job, l.phase, *range))
             }
             _ => None,
         };
@@ -378,8 +396,10 @@ impl World<'_> {
             match &command {
                 Command::Accept { lease, .. } => self.accept(*lease, completed.as_ref()),
                 Command::Discard { .. } => self.report.discarded += 1,
-                Command::BuildMap { job, kind } => self.build(*job, *kind),
-                Command::Assemble { job } => {
+                Command::Build { job, phase } => self.build(*job, *phase),
+                Command::Retire { job, round } => self.assert_round_complete(*job, *round),
+                Command::Assemble { job, done } => {
+                    self.made_of.insert(*job, *done);
                     let at = self.now + self.delay();
                     let number = self.next_entry;
                     self.to_scheduler.insert(number, Event::Assembled { job: *job });
@@ -403,36 +423,72 @@ impl World<'_> {
         }
     }
 
-    fn accept(&mut self, lease: LeaseId, completed: Option<&(LeaseId, JobId, Task, EmissionRange)>) {
-        let Some((id, job, task, range)) = completed else { panic!("seed {}: accepted nothing", self.seed) };
+    fn accept(&mut self, lease: LeaseId, completed: Option<&(LeaseId, JobId, usize, EmissionRange)>) {
+        let Some((id, job, phase, range)) = completed else { panic!("seed {}: accepted nothing", self.seed) };
         assert_eq!(*id, lease, "seed {}", self.seed);
-        let kind = if let Task::Emission(kind) = task { Some(*kind) } else { None };
-        self.counted.entry((*job, kind)).or_default().add(*range, self.seed);
+        self.counted.entry((*job, *phase)).or_default().add(*range, self.seed);
+        let window = self.scheduler.job(*job).map_or(0, |j| j.steps().count());
+        self.report.widest_window = self.report.widest_window.max(window);
     }
 
-    fn build(&mut self, job: JobId, kind: MapKind) {
-        self.assert_complete(job, Some(kind));
-        let map = MapRef { kind, digest: Digest([job.0 as u8; 32]), bytes: 1 };
+    fn build(&mut self, job: JobId, phase: Phase) {
+        let index = self.phases[job.0 as usize].iter().position(|p| *p == phase);
+        self.assert_complete(job, index.unwrap_or_else(|| panic!("seed {}: {phase:?} is no phase", self.seed)));
+        let digest = Digest([job.0 as u8; 32]);
+        let input = match phase {
+            Phase::Emission { map, .. } => InputRef::Map(MapRef { kind: map, digest, bytes: 1 }),
+            _ => InputRef::Bootstrap(BlobRef { digest, bytes: 1 }),
+        };
         let number = self.next_entry;
-        self.to_scheduler.insert(number, Event::MapBuilt { job, map });
+        self.to_scheduler.insert(number, Event::Built { job, round: phase.round(), input });
         let at = self.now + 200_000 + self.delay();
         self.plan(at, Due::Report(number));
     }
 
-    fn assert_complete(&self, job: JobId, kind: Option<MapKind>) {
-        let wanted = self.phases[job.0 as usize].iter().find_map(|p| match (p, kind) {
-            (Phase::Emission { map, paths, .. }, Some(kind)) if *map == kind => Some(*paths),
-            (Phase::Gather { tiles, .. }, None) => Some(u64::from(*tiles)),
-            _ => None,
-        });
-        let counted = self.counted.get(&(job, kind)).map_or(0, Counted::total);
-        assert_eq!(Some(counted), wanted, "seed {}: job {job}, {kind:?}", self.seed);
+    /// Every index of the phase counted exactly once.
+    fn assert_complete(&self, job: JobId, phase: usize) {
+        let wanted = self.phases[job.0 as usize][phase].units();
+        let counted = self.counted.get(&(job, phase)).map_or(0, Counted::total);
+        assert_eq!(counted, wanted, "seed {}: job {job}, phase {phase}", self.seed);
+    }
+
+    fn assert_round_complete(&self, job: JobId, round: u32) {
+        let phases = self.phases[job.0 as usize].iter().enumerate();
+        phases.filter(|(_, p)| p.round() == round).for_each(|(i, _)| self.assert_complete(job, i));
+    }
+
+    /// The image is made of whole rounds, and of as many units as were counted; of all, unless a limit ended the job.
+    fn assert_image(&mut self, job: JobId) {
+        let Some(&done) = self.made_of.get(&job) else { panic!("seed {}: job {job} was not put together", self.seed) };
+        let (mut rounds, mut units) = (0, None);
+        for (i, phase) in self.phases[job.0 as usize].iter().enumerate() {
+            match *phase {
+                Phase::Gather { round, .. } => rounds = rounds.max(round + 1),
+                Phase::Splat { units: all } => {
+                    units = Some((all, self.counted.get(&(job, i)).map_or(0, Counted::total)))
+                }
+                _ => {}
+            }
+        }
+        if done.ended_by.is_none() {
+            assert_eq!(done.rounds, rounds, "seed {}: job {job}", self.seed);
+            assert!(units.is_none_or(|(all, counted)| all == counted), "seed {}: job {job}, {units:?}", self.seed);
+        }
+        assert!(done.rounds <= rounds && (done.rounds > 0 || units.is_some()), "seed {}: job {job}", self.seed);
+        assert_eq!(done.units, units.map_or(0, |(_, counted)| counted), "seed {}: job {job}", self.seed);
+        assert!(units.is_none() || done.units > 0, "seed {}: job {job} has no unit", self.seed);
+        let gathers = self.phases[job.0 as usize].iter().enumerate();
+        gathers
+            .filter(|(_, p)| matches!(p, Phase::Gather { round, .. } if *round < done.rounds))
+            .for_each(|(i, _)| self.assert_complete(job, i));
+        self.report.cut_off += usize::from(done.ended_by.is_some());
+        self.report.rounds += u64::from(done.rounds);
     }
 
     fn ended(&mut self, job: JobId, outcome: &Outcome) {
         assert!(self.open.remove(&job), "seed {}: job {job} ended twice", self.seed);
         match outcome {
-            Outcome::Done => self.assert_complete(job, None),
+            Outcome::Done => self.assert_image(job),
             Outcome::Failed(reason) => {
                 assert!(self.conditions.may_fail, "seed {}: job {job} failed: {reason}", self.seed);
                 assert!(reason.contains("virtual failure"), "seed {}: {reason}", self.seed);
@@ -452,5 +508,14 @@ impl World<'_> {
         let busy: u64 = self.workers.values().map(|w| w.busy).sum();
         self.report.idle_fraction = 1.0 - busy as f64 / self.capacity.max(1) as f64;
         self.report
+    }
+}
+
+/// What an index costs: a tile as much as some thousand photon paths, a Markov chain as much as some tiles.
+fn cost(task: &Task) -> u64 {
+    match task {
+        Task::Emission { .. } | Task::Bootstrap => 1,
+        Task::Gather { .. } => 1_000,
+        Task::Splat { .. } => 3_000,
     }
 }

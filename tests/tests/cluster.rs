@@ -1,12 +1,14 @@
 //! Whole jobs on a coordinator and workers over TCP, in this process: what is right, and what goes wrong.
 
-use gatherlight::client::{ClientError, connect, connect_as};
+use gatherlight::client::{ClientError, SubmitRequest, connect, connect_as};
 use gatherlight::embedded;
 use gatherlight::schedule::Policy;
 use gatherlight::server::ServeConfig;
-use gatherlight::types::{JobId, JobState};
+use gatherlight::types::{JobId, JobState, Limits};
 use gatherlight_proto::version::Versions;
 use gatherlight_render::import::SceneBundle;
+use gatherlight_render::job::PreparedJob;
+use gatherlight_render::settings::{Merge, Method, RenderSettings};
 use gatherlight_tests::cluster::{
     Coordinator, final_state, finished_exr, request, small_leases, small_settings, watch_until,
 };
@@ -168,6 +170,43 @@ async fn limits_are_refused_with_the_flag_that_raises_them() {
     refused(|c| c.max_store_bytes = 1_000, "--max-store").await;
     refused(|c| c.max_job_bytes = 1_000, "--max-job-memory").await;
     refused(|c| c.max_live_jobs = 0, "--max-jobs").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_time_limit_that_could_never_end_the_job_is_refused() {
+    let (_store, coordinator) = start(small_leases()).await;
+    let limits = Limits { time: Some(Duration::from_secs(9)) };
+    let request = SubmitRequest { limits, ..request(&RING, &small_settings()) };
+    let submitted = coordinator.client().await.submit(&request, |_, _| {}).await;
+    let Err(ClientError::Refused(text)) = submitted else { panic!("{submitted:?}") };
+    assert!(text.contains("time limit") && text.contains("photon"), "{text}");
+}
+
+/// Over the wire, where maps are encoded and fetched: a method of many rounds of maps, and one whose rounds are apart.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_of_many_rounds_gives_the_image_that_one_process_gives() {
+    let (_store, coordinator) = start(small_leases()).await;
+    let _workers = [coordinator.worker("a", slow(0)), coordinator.worker("b", slow(0))];
+    let client = coordinator.client().await;
+    for merge in Merge::ALL {
+        let settings = RenderSettings { method: Method::Progressive, merge, rounds: 12, ..small_settings() };
+        let id = client.submit(&request(&RING, &settings), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
+        let exr = finished_exr(&client, id).await;
+        let job = client.get(id).await.unwrap_or_else(|e| panic!("{e}"));
+        let single = move || {
+            let job = PreparedJob::prepare(&RING, &settings).unwrap_or_else(|e| panic!("{e}"));
+            film_pixels_sha256(&gatherlight_tests::single::render(&job))
+        };
+        let expected = tokio::task::spawn_blocking(single).await.expect("did not panic");
+        assert_eq!(pixel_sha256(&exr), expected, "{}", merge.name());
+        let shared = merge == Merge::Shared;
+        assert_eq!((job.stats.rounds_done, job.rounds), if shared { (12, 12) } else { (0, 1) });
+        assert_eq!(job.stats.units_done, if shared { 0 } else { 12 });
+        // Every map is sent to both workers at most, and all of them are counted.
+        let maps: u64 = job.stats.maps.iter().map(|m| m.bytes).sum();
+        assert!((maps.min(1)..=2 * maps).contains(&job.stats.broadcast_bytes), "{:?}", job.stats);
+        assert_eq!(maps > 0, shared);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

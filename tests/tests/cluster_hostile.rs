@@ -83,6 +83,7 @@ async fn submissions_without_scene_blobs_or_sense_are_refused() {
         scene: Some(scene),
         settings: Some(settings.clone()),
         request_key: vec![1; 16].into(),
+        limits: None,
     };
     let submit = async |request: wire::SubmitRequest| code(p.jobs.clone().submit(request).await);
     // All well but for the blob, which nobody uploaded.
@@ -93,6 +94,8 @@ async fn submissions_without_scene_blobs_or_sense_are_refused() {
         submit(wire::SubmitRequest { request_key: vec![1; 3].into(), ..good.clone() }).await,
         Code::InvalidArgument
     );
+    let limits = Some(wire::Limits { time_ms: Some(0) });
+    assert_eq!(submit(wire::SubmitRequest { limits, ..good.clone() }).await, Code::InvalidArgument);
     let nonsense = wire::RenderSettings { width: 0, ..settings };
     assert_eq!(submit(wire::SubmitRequest { settings: Some(nonsense), ..good }).await, Code::InvalidArgument);
 }

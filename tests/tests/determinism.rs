@@ -1,119 +1,191 @@
 //! The image has the same bits for any number of workers and threads, any order of tasks, and whoever is lost on the
-//! way.
+//! way: for every method.
 
-use gatherlight::embedded::{Config, render};
-use gatherlight::schedule::Policy;
-use gatherlight::types::JobResult;
+use gatherlight::embedded::{Config, RenderError, render};
+use gatherlight::types::{JobResult, Limit, Limits};
 use gatherlight_render::import::SceneBundle;
-use gatherlight_render::settings::{Layer, Method, RenderSettings};
-use gatherlight_tests::{film_sha256, scene};
+use gatherlight_render::job::{Phase, PreparedJob};
+use gatherlight_render::settings::{Layer, Merge, Method, RenderSettings};
+use gatherlight_tests::cluster::small_leases;
+use gatherlight_tests::{film_sha256, scene, single};
 use gatherlight_worker::Faults;
 use std::sync::LazyLock;
 use std::time::Duration;
 
 static RING: LazyLock<SceneBundle> = LazyLock::new(|| scene("caustic-ring.glb"));
 
-fn settings() -> RenderSettings {
-    RenderSettings {
+/// One method as it is tested.
+struct Case {
+    settings: RenderSettings,
+    phases: Vec<Phase>,
+    /// What one process computes, straight through the phases.
+    reference: String,
+}
+
+impl Case {
+    fn new(settings: RenderSettings) -> Self {
+        let job = PreparedJob::prepare(&RING, &settings).unwrap_or_else(|e| panic!("{e}"));
+        let film = single::render(&job);
+        assert!(film.pixels.iter().any(|&v| v > 0.0), "{}: the image is black", settings.method.name());
+        Case { phases: job.phases(), reference: film_sha256(&film), settings }
+    }
+    fn name(&self) -> String {
+        format!("{} {}", self.settings.method.name(), self.settings.merge.name())
+    }
+    fn render(&self, workers: usize, threads: usize, change: impl FnOnce(&mut Config)) -> JobResult {
+        let mut config = Config { workers, threads, policy: small_leases(), ..Config::default() };
+        change(&mut config);
+        render(&RING, &self.settings, &config, |_| {}).unwrap_or_else(|e| panic!("{}: {e}", self.name()))
+    }
+    fn assert_same_bits(&self, result: &JobResult) {
+        assert_eq!(film_sha256(&result.film), self.reference, "{}", self.name());
+    }
+    fn has(&self, kind: impl Fn(&Phase) -> bool) -> bool {
+        self.phases.iter().any(kind)
+    }
+    /// Workers that die at some task of each phase there is.
+    fn deaths(&self) -> Vec<Faults> {
+        let none = Faults::default;
+        let mut deaths = Vec::new();
+        if self.has(|p| matches!(p, Phase::Emission { .. })) {
+            deaths.extend([0, 3].map(|n| Faults { die_at_emission: Some(n), ..none() }));
+        }
+        if self.has(|p| matches!(p, Phase::Bootstrap { .. })) {
+            deaths.push(Faults { die_at_bootstrap: Some(0), ..none() });
+        }
+        if self.has(|p| matches!(p, Phase::Splat { .. })) {
+            deaths.push(Faults { die_at_splat: Some(0), ..none() });
+        }
+        if self.has(|p| matches!(p, Phase::Gather { .. })) {
+            deaths.extend([0, 2].map(|n| Faults { die_at_gather: Some(n), ..none() }));
+        }
+        deaths
+    }
+}
+
+/// Every method, small, and where it has rounds with both ways to merge them.
+static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {
+    let settings = |method| RenderSettings {
+        method,
         width: 72,
         height: 56,
         samples: 2,
         photons: 20_000,
         caustic_photons: 30_000,
         k: 20,
-        layers: vec![Layer::Direct, Layer::Caustic, Layer::Variance],
+        rounds: 5,
+        chains: 24,
+        mutations: 2,
+        bootstrap: 600,
+        layers: if method == Method::Photon { vec![Layer::Direct, Layer::Caustic, Layer::Variance] } else { vec![] },
         ..RenderSettings::default()
-    }
-}
-
-/// Leases of a few milliseconds, so that every worker gets some of every phase.
-fn small_leases() -> Policy {
-    Policy {
-        target_lease: Duration::from_millis(5),
-        probe_paths: 300,
-        min_paths: 100,
-        max_paths: 1_000,
-        max_tiles: 2,
-        ..Policy::default()
-    }
-}
-
-fn rendered(workers: usize, threads: usize, change: impl FnOnce(&mut Config)) -> JobResult {
-    let mut config = Config { workers, threads, policy: small_leases(), ..Config::default() };
-    change(&mut config);
-    render(&RING, &settings(), &config, |_| {}).unwrap_or_else(|e| panic!("{e}"))
-}
-
-static REFERENCE: LazyLock<String> = LazyLock::new(|| {
-    let config = Config { threads: 1, ..Config::default() };
-    let result = render(&RING, &settings(), &config, |_| {}).unwrap_or_else(|e| panic!("{e}"));
-    assert!(result.film.pixels.iter().any(|&v| v > 0.0), "the image is black");
-    film_sha256(&result.film)
+    };
+    let merges = |method: Method| if method.has_rounds() { &Merge::ALL[..] } else { &Merge::ALL[..1] };
+    let all = Method::ALL.iter().flat_map(|&m| merges(m).iter().map(move |&merge| (m, merge)));
+    all.map(|(method, merge)| Case::new(RenderSettings { merge, ..settings(method) })).collect()
 });
-
-fn assert_same_bits(result: &JobResult) {
-    assert_eq!(film_sha256(&result.film), *REFERENCE);
-}
-
-/// Straight through the phases, without a cluster: the cluster must not change what is computed.
-#[test]
-fn the_cluster_computes_what_one_process_computes() {
-    let job = gatherlight_render::job::PreparedJob::prepare(&RING, &settings()).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!(film_sha256(&gatherlight_tests::single::render(&job)), *REFERENCE);
-}
 
 #[test]
 fn workers_and_threads_do_not_matter() {
-    for (workers, threads) in [(1, 2), (2, 1), (2, 2), (7, 1)] {
-        let result = rendered(workers, threads, |_| {});
-        assert_same_bits(&result);
-        assert_eq!(result.stats.retried_leases, 0, "{workers} workers");
+    for case in &*CASES {
+        for (workers, threads) in [(1, 1), (1, 2), (2, 1), (2, 2), (7, 1)] {
+            let result = case.render(workers, threads, |_| {});
+            case.assert_same_bits(&result);
+            assert_eq!(result.stats.retried_leases, 0, "{}: {workers} workers", case.name());
+        }
+    }
+}
+
+/// Leases as large as they come, and rounds after the first sized by what was measured.
+#[test]
+fn the_size_of_leases_does_not_matter() {
+    for case in &*CASES {
+        case.assert_same_bits(&case.render(2, 1, |c| c.policy = Config::default().policy));
     }
 }
 
 #[test]
 fn the_order_of_tasks_does_not_matter() {
-    for seed in 0..3 {
-        assert_same_bits(&rendered(2, 1, |c| c.policy.shuffle = Some(seed)));
+    for case in &*CASES {
+        for seed in 0..3 {
+            case.assert_same_bits(&case.render(2, 1, |c| c.policy.shuffle = Some(seed)));
+        }
     }
 }
 
 #[test]
 fn a_worker_lost_in_each_phase_does_not_matter() {
-    let dies = [
-        Faults { die_at_emission: Some(0), ..Faults::default() },
-        Faults { die_at_emission: Some(3), ..Faults::default() },
-        Faults { die_at_gather: Some(0), ..Faults::default() },
-        Faults { die_at_gather: Some(2), ..Faults::default() },
-    ];
-    for fault in dies {
-        // The others are held back a little, so that the one that dies gets its turn.
-        let slow = Faults { delay: Duration::from_millis(2), ..Faults::default() };
-        let result = rendered(3, 1, |c| c.faults = vec![fault.clone(), slow.clone(), slow]);
-        assert_same_bits(&result);
-        assert!(result.stats.retried_leases > 0, "{fault:?} did not strike");
+    for case in &*CASES {
+        for fault in case.deaths() {
+            // The others are held back a little, so that the one that dies gets its turn.
+            let slow = Faults { delay: Duration::from_millis(2), ..Faults::default() };
+            let result = case.render(3, 1, |c| c.faults = vec![fault.clone(), slow.clone(), slow]);
+            case.assert_same_bits(&result);
+            assert!(result.stats.retried_leases > 0, "{}: {fault:?} did not strike", case.name());
+        }
     }
 }
 
 #[test]
 fn results_delivered_twice_or_damaged_do_not_matter() {
-    let twice = Faults { deliver_twice: true, ..Faults::default() };
-    assert_same_bits(&rendered(2, 1, |c| c.faults = vec![twice.clone(), twice]));
-    let corrupt = Faults { corrupt: true, ..Faults::default() };
-    let slow = Faults { delay: Duration::from_millis(2), ..Faults::default() };
-    let result = rendered(2, 1, |c| c.faults = vec![corrupt, slow]);
-    assert_same_bits(&result);
-    assert!(result.stats.retried_leases > 0);
+    for case in &*CASES {
+        let twice = Faults { deliver_twice: true, ..Faults::default() };
+        case.assert_same_bits(&case.render(2, 1, |c| c.faults = vec![twice.clone(), twice]));
+        let corrupt = Faults { corrupt: true, ..Faults::default() };
+        let slow = Faults { delay: Duration::from_millis(2), ..Faults::default() };
+        let result = case.render(2, 1, |c| c.faults = vec![corrupt, slow]);
+        case.assert_same_bits(&result);
+        assert!(result.stats.retried_leases > 0, "{}", case.name());
+    }
 }
 
 #[test]
-fn a_path_traced_image_needs_no_photons_and_has_the_same_bits_too() {
-    let settings = RenderSettings { method: Method::Path, ..settings() };
-    let with = |workers| {
-        let config = Config { workers, threads: 1, policy: small_leases(), ..Config::default() };
-        render(&RING, &settings, &config, |_| {}).unwrap_or_else(|e| panic!("{e}"))
-    };
-    let (one, three) = (with(1), with(3));
-    assert_eq!(film_sha256(&one.film), film_sha256(&three.film));
-    assert!(one.stats.maps.is_empty());
+fn all_rounds_and_units_are_counted() {
+    for case in &*CASES {
+        let result = case.render(2, 1, |_| {});
+        let count = |kind: &dyn Fn(&Phase) -> u64| case.phases.iter().map(kind).sum::<u64>();
+        let gathers = count(&|p| u64::from(matches!(p, Phase::Gather { .. })));
+        let units = count(&|p| if matches!(p, Phase::Splat { .. }) { p.units() } else { 0 });
+        let paths = count(&|p| if matches!(p, Phase::Emission { .. }) { p.units() } else { 0 });
+        let stats = &result.stats;
+        assert_eq!((u64::from(stats.rounds_done), stats.units_done, stats.ended_by), (gathers, units, None));
+        assert_eq!(stats.maps.iter().map(|m| m.emitted_count).sum::<u64>(), paths, "{}", case.name());
+        assert_eq!(stats.maps.iter().map(|m| m.emitted_total).sum::<u64>(), paths, "{}", case.name());
+        assert_eq!(result.metadata.units, (units > 0).then_some(units), "{}", case.name());
+        assert!(stats.rays > 0, "{}", case.name());
+    }
+}
+
+#[test]
+fn a_time_limit_gives_the_mean_of_the_rounds_that_are_done_or_is_refused() {
+    for case in &*CASES {
+        let limits = Limits { time: Some(Duration::from_millis(1)) };
+        let rounds = case.phases.iter().filter(|p| matches!(p, Phase::Gather { .. })).count();
+        let has_splat = case.has(|p| matches!(p, Phase::Splat { .. }));
+        if rounds < 2 && !has_splat {
+            let config = Config { limits, ..Config::default() };
+            let refused = render(&RING, &case.settings, &config, |_| {});
+            let Err(RenderError::Refused(text)) = refused else { panic!("{}: was not refused", case.name()) };
+            assert!(text.contains(case.settings.method.name()), "{text}");
+            continue;
+        }
+        let cut_off = case.render(1, 1, |c| c.limits = limits);
+        let stats = &cut_off.stats;
+        assert_eq!(stats.ended_by, Some(Limit::Time), "{}", case.name());
+        let mean = |r: &JobResult| r.film.pixels.iter().map(|&v| f64::from(v)).sum::<f64>();
+        if rounds < 2 {
+            assert!(stats.units_done > 0 && cut_off.metadata.units == Some(stats.units_done), "{}", case.name());
+            continue;
+        }
+        // The first round of five, whoever computes it; nothing of the second is counted.
+        assert_eq!((stats.rounds_done, cut_off.metadata.rounds), (1, Some(1)), "{}", case.name());
+        let first = case.phases.iter().filter(|p| matches!(p, Phase::Emission { .. }) && p.round() == 0);
+        let emitted: u64 = cut_off.metadata.maps.iter().map(|m| m.emitted_count).sum();
+        assert_eq!(emitted, first.map(Phase::units).sum::<u64>(), "{}", case.name());
+        let again = case.render(3, 1, |c| c.limits = limits);
+        assert_eq!(film_sha256(&cut_off.film), film_sha256(&again.film), "{}", case.name());
+        // Five times darker if it were divided by all rounds.
+        let whole = mean(&case.render(1, 2, |_| {}));
+        assert!((mean(&cut_off) / whole - 1.0).abs() < 0.5, "{}: {} of {whole}", case.name(), mean(&cut_off));
+    }
 }

@@ -60,3 +60,44 @@ fn a_thousand_workers_keep_busy() {
     // of the three phases ends with shrinking leases and a build.
     assert!(report.idle_fraction < 0.2, "idle {:.3}, {:?}", report.idle_fraction, report);
 }
+
+/// Short rounds, so that there are many in little virtual time.
+fn in_rounds(weather: Conditions) -> Conditions {
+    Conditions { rounds: 24, paths: 60_000, tiles: 24, jobs: 3, ..weather }
+}
+
+#[test]
+fn rounds_chains_and_their_bootstraps_count_every_index_once_in_any_weather() {
+    let mut reports = all(|seed| Conditions { workers: 1 + seed as usize % 40, ..in_rounds(Conditions::fair()) });
+    assert!(reports.iter().all(|r| (r.retried, r.discarded) == (0, 0)), "{reports:?}");
+    reports.extend(all(|seed| Conditions { workers: 2 + seed as usize % 20, ..in_rounds(Conditions::stormy()) }));
+    // Two rounds of two maps and their tiles.
+    assert!(reports.iter().all(|r| r.widest_window <= 6 && r.cut_off == 0), "{reports:?}");
+    if reports.len() > 2 {
+        assert!(reports.iter().map(|r| r.rounds).sum::<u64>() > 10 * SEEDS);
+        assert!(reports.iter().map(|r| r.retried).sum::<u64>() > SEEDS);
+    }
+}
+
+#[test]
+fn a_time_limit_ends_jobs_with_whole_rounds_and_units_in_any_weather() {
+    let reports = all(|seed| Conditions {
+        workers: 2 + seed as usize % 5,
+        time_limit: Some(1_000_000 + seed * 100_000),
+        ..in_rounds(Conditions::stormy())
+    });
+    if reports.len() > 1 {
+        let (jobs, cut_off) = (reports.iter().map(|r| r.jobs).sum::<usize>(), reports.iter().map(|r| r.cut_off).sum());
+        assert!((jobs / 10..jobs).contains(&cut_off), "{cut_off} of {jobs} jobs were ended by their limit");
+    }
+}
+
+#[test]
+fn a_thousand_workers_keep_busy_over_rounds() {
+    let conditions =
+        Conditions { workers: 1_000, paths: 100_000_000, tiles: 30_000, rounds: 12, jobs: 1, ..Conditions::fair() };
+    // Seeds of jobs with several rounds of both maps.
+    let report = (0..).map(|seed| simulate(seed, &conditions)).find(|r| r.rounds >= 8).unwrap_or_default();
+    assert_eq!(report.retried, 0);
+    assert!(report.idle_fraction < 0.25, "idle {:.3}, {report:?}", report.idle_fraction);
+}

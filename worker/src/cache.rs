@@ -1,4 +1,5 @@
-//! What a worker holds: prepared scenes and maps of the present jobs, and scene files by digest for the next ones.
+//! What a worker holds: prepared scenes, bootstraps and the present round's maps of the present jobs, and scene files by digest
+//! for the next ones.
 
 use crate::client::Remote;
 use crate::error::TaskError;
@@ -9,11 +10,13 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
 use gatherlight_proto::message::{BlobRef, MapRef};
+use gatherlight_proto::payload::bootstrap;
 use gatherlight_proto::payload::map::decode_map;
 use gatherlight_proto::types::JobId;
 use gatherlight_render::import::SceneBundle;
-use gatherlight_render::job::{PhotonMap, PhotonMaps, PreparedJob};
-use gatherlight_render::photon::MapKind;
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Phase, PhotonMap, PhotonMaps, PreparedJob};
+use gatherlight_render::photon::{EmissionRange, MapKind};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -26,8 +29,20 @@ const MIN_PHOTON_BYTES: u64 = 16;
 #[derive(Default)]
 struct Held {
     prepared: Option<Arc<PreparedJob>>,
-    maps: PhotonMaps,
-    digests: Vec<Digest>,
+    /// At most one of each kind: those of the round that was gathered last.
+    maps: BTreeMap<MapKind, (Digest, Arc<PhotonMap>)>,
+    bootstrap: Option<(Digest, Arc<Bootstrap>)>,
+}
+
+impl Held {
+    /// Drops maps that are not among those `wanted`: they are of a round that is over.
+    fn keep_only(&mut self, wanted: &[MapRef]) {
+        self.maps.retain(|&kind, (digest, _)| wanted.iter().any(|w| w.kind == kind && w.digest == *digest));
+    }
+    fn photon_maps(&self) -> PhotonMaps {
+        let map = |kind| self.maps.get(&kind).map(|(_, map)| map.clone());
+        PhotonMaps { global: map(MapKind::Global), caustic: map(MapKind::Caustic) }
+    }
 }
 
 /// The cache of one worker; it outlives its sessions.
@@ -78,7 +93,7 @@ impl Cache {
         self.jobs.entry(id).or_default().prepared = Some(prepared.clone());
         Ok(prepared)
     }
-    /// The job's maps, fetched the first time.
+    /// The maps of a round of the job, fetched the first time; those of another round are dropped before.
     ///
     /// # Errors
     /// When a map does not come, is not what it should be, or does not fit.
@@ -89,32 +104,67 @@ impl Cache {
         remote: &Remote,
         executor: &Executor,
     ) -> Result<PhotonMaps, TaskError> {
+        self.jobs.entry(id).or_default().keep_only(wanted);
         for &map in wanted {
-            if self.jobs.get(&id).is_some_and(|j| j.digests.contains(&map.digest)) {
+            if self.jobs.get(&id).is_some_and(|j| j.maps.contains_key(&map.kind)) {
                 continue;
             }
             let decoded = self.map(map, remote, executor).await?;
-            let held = self.jobs.entry(id).or_default();
-            match map.kind {
-                MapKind::Global => held.maps.global = Some(decoded),
-                MapKind::Caustic => held.maps.caustic = Some(decoded),
-            }
-            held.digests.push(map.digest);
+            self.jobs.entry(id).or_default().maps.insert(map.kind, (map.digest, decoded));
         }
-        Ok(self.jobs.entry(id).or_default().maps.clone())
+        Ok(self.jobs.entry(id).or_default().photon_maps())
+    }
+    /// The job's bootstrap, fetched the first time.
+    ///
+    /// # Errors
+    /// When it does not come, is not what it should be, or does not fit.
+    pub async fn bootstrap(
+        &mut self,
+        id: JobId,
+        wanted: BlobRef,
+        prepared: &PreparedJob,
+        remote: &Remote,
+        executor: &Executor,
+    ) -> Result<Arc<Bootstrap>, TaskError> {
+        if let Some((digest, held)) = self.jobs.get(&id).and_then(|j| j.bootstrap.clone())
+            && digest == wanted.digest
+        {
+            return Ok(held);
+        }
+        let joined = match self.shared.bootstrap(wanted.digest) {
+            Some(shared) => shared,
+            None => {
+                let what = "bootstrap";
+                self.check_fits(what, wanted.bytes)?;
+                let bytes = remote.fetch(&format!("the {what}"), wanted, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+                let paths = prepared.phases().iter().find_map(|p| match *p {
+                    Phase::Bootstrap { paths } => Some(paths),
+                    _ => None,
+                });
+                let all = EmissionRange { first: 0, end: paths.unwrap_or(0) };
+                let decode = move || bootstrap::decode(&bytes, all).map(Bootstrap::new);
+                Arc::new(executor.run(decode).await??)
+            }
+        };
+        self.jobs.entry(id).or_default().bootstrap = Some((wanted.digest, joined.clone()));
+        Ok(joined)
+    }
+    fn check_fits(&self, what: &str, bytes: u64) -> Result<(), TaskError> {
+        let limit = self.memory_bytes;
+        if bytes > limit {
+            return Err(TaskError::Memory { what: what.into(), bytes, limit });
+        }
+        Ok(())
     }
     async fn map(&self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
         if let Some(shared) = self.shared.map(map.digest) {
             return Ok(shared);
         }
-        let limit = self.memory_bytes;
-        if map.bytes > limit {
-            return Err(TaskError::Memory { map: map.kind.name(), bytes: map.bytes, limit });
-        }
-        let what = format!("the {} map", map.kind.name());
+        let what = format!("{} map", map.kind.name());
+        self.check_fits(&what, map.bytes)?;
         let blob = BlobRef { digest: map.digest, bytes: map.bytes };
-        let bytes = remote.fetch(&what, blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
-        let max_photons = limit / MIN_PHOTON_BYTES;
+        let bytes = remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+        let max_photons = self.memory_bytes / MIN_PHOTON_BYTES;
         let decoded = executor.run(move || decode_map(&bytes, map.kind, max_photons)).await??;
         Ok(Arc::new(decoded))
     }
@@ -155,6 +205,29 @@ impl Cache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gatherlight_render::photon::PhotonBatch;
+
+    #[test]
+    fn a_round_s_maps_replace_those_of_the_round_before() {
+        let mut held = Held::default();
+        let map = |kind, round: u8| MapRef { kind, digest: Digest([round; 32]), bytes: 1 };
+        let empty = |kind| {
+            let range = EmissionRange { first: 0, end: 0 };
+            let (positions, powers, normals) = (Vec::new(), Vec::new(), Vec::new());
+            Arc::new(PhotonMap::build(kind, PhotonBatch { range, positions, powers, normals, directions: None }))
+        };
+        for round in 0..100 {
+            // Some rounds lack the caustic map.
+            let kinds = if round % 3 == 0 { &MapKind::ALL[..1] } else { &MapKind::ALL[..] };
+            let wanted: Vec<MapRef> = kinds.iter().map(|&kind| map(kind, round)).collect();
+            held.keep_only(&wanted);
+            assert!(held.maps.is_empty(), "round {round}");
+            wanted.iter().for_each(|w| drop(held.maps.insert(w.kind, (w.digest, empty(w.kind)))));
+            held.keep_only(&wanted);
+            assert_eq!(held.maps.len(), kinds.len());
+            assert_eq!(held.photon_maps().caustic.is_some(), kinds.len() == 2);
+        }
+    }
 
     #[test]
     fn scene_files_are_kept_within_a_quarter_of_the_memory() {

@@ -51,6 +51,10 @@ pub struct Faults {
     pub delay: Duration,
     /// Vanishes, without a word, when it is given emission task number n (from 0).
     pub die_at_emission: Option<u64>,
+    /// Vanishes when it is given bootstrap task number n (from 0).
+    pub die_at_bootstrap: Option<u64>,
+    /// Vanishes when it is given splat task number n (from 0).
+    pub die_at_splat: Option<u64>,
     /// Vanishes when it is given gather task number n (from 0).
     pub die_at_gather: Option<u64>,
     /// Reports every task as failed with this text.

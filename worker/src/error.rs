@@ -56,18 +56,21 @@ pub enum TaskError {
     /// The scene or the settings are at fault.
     #[error(transparent)]
     Job(#[from] gatherlight_render::job::JobError),
-    /// A map does not fit into this worker's memory.
+    /// A map or bootstrap does not fit into this worker's memory.
     #[error(
-        "the {map} map of {bytes} bytes does not fit into this worker's {limit} bytes; give it more --memory or emit fewer photons"
+        "the {what} of {bytes} bytes does not fit into this worker's {limit} bytes; give it more --memory or trace fewer paths"
     )]
     Memory {
-        /// Its name.
-        map: &'static str,
+        /// What it is.
+        what: String,
         /// Its encoded size.
         bytes: u64,
         /// The worker's limit.
         limit: u64,
     },
+    /// The method of the job splats nothing.
+    #[error("the job's method has no light image, so it has no splat phase")]
+    NoLightImage,
     /// The renderer panicked: a bug.
     #[error("the renderer panicked: {0}")]
     Panicked(String),

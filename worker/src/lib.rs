@@ -3,8 +3,8 @@
 //! - [`session`]: what a worker does, as a pure state machine;
 //! - [`client`]: the connection: joining, heartbeats, fetching, delivering, coming back;
 //! - [`executor`]: the compute threads, apart from the async ones, so that heartbeats flow while a tile renders;
-//! - [`emission`] and [`gather`]: a lease's indices → a payload;
-//! - [`cache`]: scenes and maps of the present jobs, and scene files by digest;
+//! - [`emission`] and [`gather`]: a lease's indices → a payload; bootstrap beside the one, splats beside the other;
+//! - [`cache`]: scenes, bootstraps and the present round's maps of the present jobs, and scene files by digest;
 //! - [`shared`]: what is in this process already, where the coordinator is too.
 #![deny(unsafe_code)]
 

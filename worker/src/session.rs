@@ -210,7 +210,13 @@ mod tests {
     }
     fn lease(id: u64) -> Lease {
         let range = EmissionRange { first: id * 10, end: id * 10 + 10 };
-        Lease { id: LeaseId(id), attempt: 1, job: JobId(5), range, task: Task::Emission(MapKind::Global) }
+        Lease {
+            id: LeaseId(id),
+            attempt: 1,
+            job: JobId(5),
+            range,
+            task: Task::Emission { round: 0, map: MapKind::Global },
+        }
     }
     fn begin(id: u64) -> Action {
         Action::Begin(lease(id), Box::new(announced()))

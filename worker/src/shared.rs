@@ -3,6 +3,7 @@
 
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::SceneManifest;
+use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{PhotonMap, PreparedJob};
 use gatherlight_render::settings::RenderSettings;
 use std::collections::BTreeMap;
@@ -11,11 +12,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// One prepared scene with what it was made from.
 type Scene = (SceneManifest, RenderSettings, Arc<PreparedJob>);
 
-/// Scenes and maps that are in this process already; clones share them.
+/// What was offered under each digest, with the number of offers: maps of two rounds may be equal.
+type Offered<T> = Arc<Mutex<BTreeMap<Digest, (Arc<T>, usize)>>>;
+
+/// Scenes, maps and bootstraps that are in this process already; clones share them.
 #[derive(Clone, Default)]
 pub struct Shared {
     scenes: Arc<Mutex<Vec<Scene>>>,
-    maps: Arc<Mutex<BTreeMap<Digest, Arc<PhotonMap>>>>,
+    maps: Offered<PhotonMap>,
+    bootstraps: Offered<Bootstrap>,
 }
 
 impl Shared {
@@ -30,11 +35,37 @@ impl Shared {
     }
     /// Offers a map under the digest by which leases name it.
     pub fn offer_map(&self, digest: Digest, map: Arc<PhotonMap>) {
-        lock(&self.maps).insert(digest, map);
+        lock(&self.maps).entry(digest).or_insert((map, 0)).1 += 1;
     }
     /// The map of this digest.
     pub fn map(&self, digest: Digest) -> Option<Arc<PhotonMap>> {
-        lock(&self.maps).get(&digest).cloned()
+        lock(&self.maps).get(&digest).map(|(map, _)| map.clone())
+    }
+    /// Offers a bootstrap under the digest by which leases name it.
+    pub fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>) {
+        lock(&self.bootstraps).entry(digest).or_insert((bootstrap, 0)).1 += 1;
+    }
+    /// The bootstrap of this digest.
+    pub fn bootstrap(&self, digest: Digest) -> Option<Arc<Bootstrap>> {
+        lock(&self.bootstraps).get(&digest).map(|(bootstrap, _)| bootstrap.clone())
+    }
+    /// Takes one offer back; what is not offered any more is dropped.
+    pub fn withdraw(&self, digest: Digest) {
+        withdraw(&mut lock(&self.maps), digest);
+        withdraw(&mut lock(&self.bootstraps), digest);
+    }
+    /// Number of maps and bootstraps that are offered.
+    pub fn offers(&self) -> usize {
+        lock(&self.maps).len() + lock(&self.bootstraps).len()
+    }
+}
+
+fn withdraw<T>(offered: &mut BTreeMap<Digest, (Arc<T>, usize)>, digest: Digest) {
+    if let Some((_, count)) = offered.get_mut(&digest) {
+        *count -= 1;
+        if *count == 0 {
+            offered.remove(&digest);
+        }
     }
 }
 
@@ -47,4 +78,24 @@ impl std::fmt::Debug for Shared {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // Nothing panics while it is held.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_offered_twice_is_there_until_it_is_withdrawn_twice() {
+        let shared = Shared::default();
+        let (digest, other) = (Digest([1; 32]), Digest([2; 32]));
+        for _ in 0..2 {
+            shared.offer_bootstrap(digest, Arc::new(Bootstrap::new(vec![1.0])));
+        }
+        shared.withdraw(other);
+        shared.withdraw(digest);
+        assert!(shared.bootstrap(digest).is_some() && shared.bootstrap(other).is_none());
+        shared.withdraw(digest);
+        shared.withdraw(digest);
+        assert_eq!((shared.bootstrap(digest), shared.offers()), (None, 0));
+    }
 }

@@ -1,5 +1,6 @@
 //! Numbers, times and tables as people read them.
 
+use gatherlight_proto::limits::MAX_TIME_LIMIT;
 use std::time::Duration;
 
 /// 1234567.0 → `1.23 M`; three digits, factors of a thousand.
@@ -74,6 +75,34 @@ pub(crate) fn duration(d: Duration) -> String {
     }
 }
 
+/// `90`, `1.5s`, `200ms`, `5m`, `1h30m`, `2d` → a duration; a number alone is in seconds.
+pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
+    let explain = || format!("{text:?} is no time; write one such as 30s, 5m, 1h30m or 2d");
+    let mut rest: String = text.chars().filter(|c| !c.is_whitespace()).collect();
+    let mut seconds = 0.0;
+    while !rest.is_empty() {
+        let number = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+        let tail = rest.split_off(number);
+        let unit = tail.find(|c: char| c.is_ascii_digit() || c == '.').unwrap_or(tail.len());
+        let factor = match &tail[..unit] {
+            "ms" => 1e-3,
+            "" | "s" | "sec" => 1.0,
+            "m" | "min" => 60.0,
+            "h" => 3_600.0,
+            "d" => 86_400.0,
+            _ => return Err(explain()),
+        };
+        seconds += rest.parse::<f64>().map_err(|_| explain())? * factor;
+        rest = tail[unit..].to_owned();
+    }
+    let time = Duration::try_from_secs_f64(seconds).map_err(|_| explain())?;
+    // The wire counts milliseconds.
+    if time < Duration::from_millis(1) || time > MAX_TIME_LIMIT {
+        return Err(format!("{text:?} is outside 1ms … {}d", MAX_TIME_LIMIT.as_secs() / 86_400));
+    }
+    Ok(time)
+}
+
 /// Columns aligned at the left, two spaces apart, without trailing spaces; `header` first.
 pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     let header: Vec<String> = header.iter().map(|h| h.to_string()).collect();
@@ -108,6 +137,15 @@ mod tests {
         assert_eq!(["0", "12", "3k", "64G", "1TiB"].map(|t| parse_bytes(t).unwrap()), [0, 12, 3072, 64 << 30, 1 << 40]);
         for bad in ["", "G", "1.5G", "-1", "1X", "99999999999T"] {
             assert!(parse_bytes(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn times_take_units() {
+        let good = ["90", "1.5s", "200ms", "5m", "5 min", "1h30m", "2d", "1m0.5s"].map(|t| parse_duration(t).unwrap());
+        assert_eq!(good.map(|d| d.as_millis()), [90_000, 1_500, 200, 300_000, 300_000, 5_400_000, 172_800_000, 60_500]);
+        for bad in ["", "s", "-1s", "1x", "0", "0.0001s", "1.2.3s", "nan", "inf", "1e9s", "9999d", "m5"] {
+            assert!(parse_duration(bad).is_err(), "{bad}");
         }
     }
 

@@ -3,6 +3,7 @@
 use super::connection::ConnectionArgs;
 use super::error::CliResult;
 use super::format::{duration, table};
+use super::progress::round;
 use super::{json, print_json, print_result};
 use crate::types::{JobProgress, JobState};
 use clap::Args;
@@ -41,6 +42,10 @@ fn row(p: &JobProgress) -> Vec<String> {
         JobState::Emission(map) | JobState::Merge(map) => format!("{} {}", p.state.name(), map.name()),
         JobState::Failed(reason) => format!("failed: {reason}"),
         other => other.name().into(),
+    };
+    let state = match round(p) {
+        Some(round) => format!("{state}, {round}"),
+        None => state,
     };
     let done = match p.total {
         0 => String::new(),

@@ -17,6 +17,8 @@ pub(super) fn job(p: &JobProgress) -> Value {
         "state": p.state.name(),
         "map": map,
         "error": error,
+        "round": p.round,
+        "rounds": p.rounds,
         "done": p.done,
         "total": p.total,
         "rate_per_s": p.rate,

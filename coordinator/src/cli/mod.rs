@@ -12,6 +12,7 @@ mod fetch;
 pub(crate) mod format;
 mod jobs;
 mod json;
+mod limits;
 mod output;
 mod plan;
 mod preflight;

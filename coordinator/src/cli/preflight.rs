@@ -4,6 +4,7 @@ use super::error::CliError;
 use super::format::bytes;
 use super::progress::warn;
 use crate::report;
+use crate::schedule::job::can_end_early;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::plan::{EmissionPlan, Plan};
@@ -22,6 +23,8 @@ pub(super) struct Preflight {
     pub(super) warnings: Vec<String>,
     /// The plan for scripts.
     pub(super) json: Value,
+    /// Whether a limit can end the job before all its work is done.
+    pub(super) can_end_early: bool,
 }
 
 impl Preflight {
@@ -41,6 +44,7 @@ impl Preflight {
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
             json: plan_json(job),
+            can_end_early: can_end_early(&job.phases()),
         }
     }
 

@@ -61,6 +61,17 @@ pub(super) struct JobView {
     style: Style,
     /// The phase on show, its bar, and its last snapshot's figures.
     current: Option<(JobState, ProgressBar, Figures)>,
+    /// What is on show is all rounds together.
+    in_rounds: bool,
+}
+
+/// Name of the bar over all rounds.
+const ROUNDS: &str = "rounds";
+
+/// `round 3 of 64`, where there are several.
+pub(super) fn round(p: &JobProgress) -> Option<String> {
+    let going = p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting;
+    going.then(|| format!("round {} of {}", u64::from(p.round) + 1, p.rounds))
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -74,7 +85,7 @@ struct Figures {
 impl JobView {
     /// A view that has seen nothing yet.
     pub(super) fn new(style: Style) -> Self {
-        JobView { style, current: None }
+        JobView { style, current: None, in_rounds: false }
     }
 
     /// Shows a snapshot.
@@ -82,10 +93,14 @@ impl JobView {
         if self.style == Style::Quiet {
             return;
         }
+        if p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting && p.state != JobState::Assemble {
+            return self.update_rounds(p);
+        }
         if self.current.as_ref().is_none_or(|(state, ..)| *state != p.state) {
             let failed = matches!(p.state, JobState::Failed(_) | JobState::Cancelled);
             if let Some((_, _, figures)) = &mut self.current
                 && !failed
+                && p.stats.ended_by.is_none()
             {
                 // The next phase has begun, so this one is complete, whatever the last snapshot of it said.
                 figures.done = figures.total;
@@ -94,14 +109,33 @@ impl JobView {
             if p.state.is_final() {
                 return;
             }
-            self.current = Some((p.state.clone(), new_bar(self.style, &p.state), Figures::default()));
+            self.current = Some((p.state.clone(), new_bar(self.style, &phase_name(&p.state)), Figures::default()));
         }
         if let Some((state, bar, figures)) = &mut self.current {
             *figures = Figures { done: p.done, total: p.total, rate: p.rate, elapsed: p.state_elapsed };
             bar.set_length(p.total.max(1));
             bar.set_position(p.done);
-            bar.set_message(running_text(state, *figures, p.workers));
+            bar.set_message(running_text(Some(state), *figures, p.workers));
         }
+    }
+
+    /// Shows a snapshot of a job of many rounds: one bar for all of them.
+    fn update_rounds(&mut self, p: &JobProgress) {
+        if !self.in_rounds {
+            self.end_phase();
+            self.in_rounds = true;
+            self.current = Some((p.state.clone(), new_bar(self.style, ROUNDS), Figures::default()));
+        }
+        let Some((_, bar, figures)) = &mut self.current else { return };
+        let (done, total) = (u64::from(p.stats.rounds_done), u64::from(p.rounds));
+        let seconds = p.elapsed.as_secs_f64();
+        let rate = if done > 0 && seconds > 0.0 { done as f64 / seconds } else { 0.0 };
+        *figures = Figures { done, total, rate, elapsed: p.elapsed };
+        bar.set_length(total);
+        bar.set_position(done);
+        let now = format!("{}, {}", round(p).unwrap_or_default(), phase_name(&p.state));
+        let rest = running_text(None, *figures, p.workers);
+        bar.set_message([now, rest].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", "));
     }
 
     /// Closes the bar on show; call when no more snapshots will come.
@@ -112,20 +146,21 @@ impl JobView {
     fn end_phase(&mut self) {
         let Some((state, bar, figures)) = self.current.take() else { return };
         bar.finish_and_clear();
+        let in_rounds = std::mem::take(&mut self.in_rounds);
         if state != JobState::Waiting {
-            eprintln!("{}", ended_text(&state, figures));
+            eprintln!("{}", ended_text(Some(&state).filter(|_| !in_rounds), figures));
         }
     }
 }
 
-fn new_bar(style: Style, state: &JobState) -> ProgressBar {
+fn new_bar(style: Style, name: &str) -> ProgressBar {
     if style != Style::Bars {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(1);
     let template = "{prefix:<16} {bar:28} {percent:>3} %  {msg}";
     bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar.set_prefix(phase_name(state));
+    bar.set_prefix(name.to_owned());
     bar
 }
 
@@ -137,18 +172,21 @@ fn phase_name(state: &JobState) -> String {
     }
 }
 
-fn units(state: &JobState, n: f64) -> String {
+/// `state` is `None` for all rounds together.
+fn units(state: Option<&JobState>, n: f64) -> String {
     match state {
-        JobState::Emission(_) => format!("{} paths", count(n)),
-        JobState::Merge(_) => format!("{} photons", count(n)),
-        JobState::Broadcast => bytes(n.max(0.0) as u64),
-        JobState::Gather => format!("{} tiles", count(n)),
-        _ => count(n),
+        None => format!("{} rounds", count(n)),
+        Some(JobState::Emission(_) | JobState::Bootstrap) => format!("{} paths", count(n)),
+        Some(JobState::Merge(_)) => format!("{} photons", count(n)),
+        Some(JobState::Broadcast) => bytes(n.max(0.0) as u64),
+        Some(JobState::Splat) => format!("{} units", count(n)),
+        Some(JobState::Gather) => format!("{} tiles", count(n)),
+        Some(_) => count(n),
     }
 }
 
-fn running_text(state: &JobState, f: Figures, workers: u32) -> String {
-    if *state == JobState::Waiting {
+fn running_text(state: Option<&JobState>, f: Figures, workers: u32) -> String {
+    if state == Some(&JobState::Waiting) {
         return "no worker has begun".into();
     }
     let mut text = if f.rate > 0.0 { format!("{}/s", units(state, f.rate)) } else { String::new() };
@@ -164,12 +202,12 @@ fn running_text(state: &JobState, f: Figures, workers: u32) -> String {
     text.trim_start_matches(", ").to_string()
 }
 
-fn ended_text(state: &JobState, f: Figures) -> String {
+fn ended_text(state: Option<&JobState>, f: Figures) -> String {
     let time = duration(f.elapsed);
     let what = if f.total > 0 { format!("{} in {time}", units(state, f.done as f64)) } else { time };
     let per_second = f.done as f64 / f.elapsed.as_secs_f64();
     let rate = if per_second.is_normal() { format!(" ({}/s)", units(state, per_second)) } else { String::new() };
-    format!("{:<16} {what}{rate}", phase_name(state))
+    format!("{:<16} {what}{rate}", state.map_or_else(|| ROUNDS.into(), phase_name))
 }
 
 #[cfg(test)]
@@ -181,10 +219,13 @@ mod tests {
     fn a_phase_states_its_rate_and_the_time_left() {
         let state = JobState::Emission(MapKind::Caustic);
         let f = Figures { done: 250_000, total: 1_000_000, rate: 50_000.0, elapsed: Duration::from_secs(5) };
-        assert_eq!(running_text(&state, f, 3), "50.0 k paths/s, 15.0 s left, 3 workers");
-        assert_eq!(ended_text(&state, f), "emission caustic 250 k paths in 5.00 s (50.0 k paths/s)");
-        assert_eq!(running_text(&JobState::Gather, Figures::default(), 1), "");
+        assert_eq!(running_text(Some(&state), f, 3), "50.0 k paths/s, 15.0 s left, 3 workers");
+        assert_eq!(ended_text(Some(&state), f), "emission caustic 250 k paths in 5.00 s (50.0 k paths/s)");
+        assert_eq!(running_text(Some(&JobState::Gather), Figures::default(), 1), "");
+        let f = Figures { done: 3, total: 64, rate: 0.5, elapsed: Duration::from_secs(6) };
+        assert_eq!(running_text(None, f, 1), "0.50 rounds/s, 2 min 02 s left");
+        assert_eq!(ended_text(None, f), "rounds           3 rounds in 6.00 s (0.50 rounds/s)");
         let endless = Figures { rate: 1e-300, ..f };
-        assert!(!running_text(&state, endless, 1).contains("left"));
+        assert!(!running_text(Some(&state), endless, 1).contains("left"));
     }
 }

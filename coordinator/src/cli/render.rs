@@ -1,6 +1,7 @@
 //! `gatherlight render`: a whole job on this machine.
 
 use super::error::{CliError, CliResult};
+use super::limits::LimitArgs;
 use super::output::OutputArgs;
 use super::preflight::Preflight;
 use super::progress::{JobView, MessageArgs};
@@ -34,6 +35,8 @@ pub(super) struct RenderArgs {
     /// Compute threads; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Run")]
     threads: usize,
+    #[command(flatten)]
+    limits: LimitArgs,
     /// Treat warnings as errors: no light, no camera, unsupported features
     #[arg(long, help_heading = "Run")]
     strict: bool,
@@ -53,9 +56,10 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job);
     preflight.report_warnings(args.strict)?;
+    let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());
 
-    let config = embedded::Config { threads: args.threads, ..Default::default() };
+    let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
     let mut view = JobView::new(args.messages.style());
     let result = embedded::render_prepared(&bundle, job, &config, |p| view.update(p));
     view.end();

@@ -4,6 +4,7 @@ use super::connection::ConnectionArgs;
 use super::error::{CliError, CliResult};
 use super::fetch::fetch_to;
 use super::format::bytes;
+use super::limits::LimitArgs;
 use super::output::{Output, OutputArgs};
 use super::preflight::Preflight;
 use super::progress::{MessageArgs, Style};
@@ -37,6 +38,8 @@ pub(super) struct SubmitArgs {
     /// Submit, print the job's id and return; `gatherlight fetch` gets the image later
     #[arg(long, help_heading = "Run")]
     detach: bool,
+    #[command(flatten)]
+    limits: LimitArgs,
     /// Name in listings [default: the scene file's]
     #[arg(long, value_name = "NAME", help_heading = "Run")]
     name: Option<String>,
@@ -52,9 +55,10 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let (bundle, settings) = args.scene.load()?;
     let preflight = Preflight::new(&bundle, &settings)?;
     preflight.report_warnings(args.strict)?;
+    let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
-    let request = SubmitRequest { name, bundle, settings };
+    let request = SubmitRequest { name, bundle, settings, limits };
     args.connection.run(|client| submit(client, args, request, output))
 }
 

@@ -5,10 +5,12 @@ use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{
-    BlobRef, DeliverHeader, FromWorker, Hello, LeaseId, MapRef, Task, ToWorker, WorkerId,
+    BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, Task, ToWorker, WorkerId,
 };
 use gatherlight_render::export::ImageMetadata;
-use gatherlight_render::film::{Film, Tile, TileGrid};
+use gatherlight_render::film::{ChannelSet, Film, LightImage, Tile, TileGrid};
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -39,7 +41,8 @@ pub(crate) enum Input {
     Refuse(Ticket, String),
     Complete(Box<Delivery>, Reply<bool>),
     Source(u64, Digest, Reply<Option<Source>>),
-    MapBuilt(JobId, Result<BuiltMap, String>),
+    /// What was made of a phase of this round.
+    Built(JobId, u32, Result<Built, String>),
     Assembled(JobId, Result<Image, String>),
     Shutdown,
 }
@@ -61,6 +64,9 @@ pub enum SubmitError {
         /// The limit.
         limit: u64,
     },
+    /// The job has a limit that can never end it.
+    #[error("a time limit ends a job between two rounds or splat units, and this one has a single round: method {0}")]
+    Limits(&'static str),
     /// The coordinator is shutting down.
     #[error("the coordinator is shutting down")]
     Closed,
@@ -101,12 +107,16 @@ pub struct Ticket {
     pub busy: Duration,
     /// What was to be done.
     pub task: Task,
+    /// The phase it is part of.
+    pub phase: Phase,
     /// How the image is cut.
     pub grid: TileGrid,
-    /// Floats per pixel.
-    pub channels: usize,
+    /// What each pixel holds.
+    pub channels: ChannelSet,
     /// Whether the photons carry directions.
     pub directions: bool,
+    /// The job's light image, empty, where it has one.
+    pub light: Option<Arc<LightImage>>,
 }
 
 /// A decoded result.
@@ -114,8 +124,12 @@ pub struct Ticket {
 pub enum Payload {
     /// Of an emission lease.
     Photons(PhotonBatch),
-    /// Of a gather lease.
-    Tiles(Vec<Tile>),
+    /// Of a bootstrap lease: luminances from the lease's first path on.
+    Luminances(u64, Vec<f32>),
+    /// Of a splat lease.
+    Light(LightImage),
+    /// Of a gather lease; with what its samples splatted, where the method does.
+    Tiles(Vec<Tile>, Option<LightImage>),
 }
 
 /// A result that arrived whole.
@@ -134,8 +148,8 @@ pub struct Delivery {
 pub enum Source {
     /// The store has it.
     Blob(Digest),
-    /// A photon map in memory; add to the counter what is sent of it.
-    Map {
+    /// A photon map or a bootstrap in memory; add to the counter what is sent of it.
+    Memory {
         /// All of it, shared.
         bytes: Bytes,
         /// Bytes sent so far.
@@ -143,14 +157,23 @@ pub enum Source {
     },
 }
 
-/// A map ready for broadcast.
+/// Something workers read, ready for broadcast.
 #[derive(Debug)]
-pub(crate) struct BuiltMap {
-    pub(crate) map: MapRef,
+pub(crate) struct Built {
+    pub(crate) input: InputRef,
+    /// As it is sent; empty where every worker is in this process.
     pub(crate) bytes: Bytes,
-    pub(crate) stored_count: u64,
-    /// Largest gather radius the map is searched with, in world units.
-    pub(crate) gather_radius: f32,
+    pub(crate) made: Made,
+}
+
+/// What the driver has to know of it.
+#[derive(Debug)]
+pub(crate) enum Made {
+    Map {
+        /// Largest gather radius the map is searched with, in world units.
+        gather_radius: f32,
+    },
+    Bootstrap(Arc<Bootstrap>),
 }
 
 /// A finished image.

@@ -1,22 +1,21 @@
 //! What the driver holds for one job.
 
+use super::Sink;
 use super::handle::NoImage;
+use super::live::Live;
 use crate::report::About;
-use crate::schedule::job::{Emission, Job, JobStage, MapStage};
+use crate::schedule::job::{Job, Stage, Step};
+use crate::schedule::work::Kind;
 use crate::schedule::{Outcome, Scheduler};
-use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
-use bytes::Bytes;
-use gatherlight_proto::Digest;
+use crate::types::{JobId, JobProgress, JobState, JobStats, Limits, MapStats};
 use gatherlight_proto::message::{BlobRef, SceneManifest};
 use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::{ChannelSet, Film, TileGrid};
 use gatherlight_render::job::{Phase, PreparedJob};
-use gatherlight_render::photon::merge::Merger;
-use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::photon::MapKind;
 use gatherlight_render::settings::RenderSettings;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -30,6 +29,8 @@ pub struct Spec {
     pub manifest: SceneManifest,
     /// Its settings, as submitted.
     pub settings: RenderSettings,
+    /// When to end it early.
+    pub limits: Limits,
     /// Its scene.
     pub prepared: Arc<PreparedJob>,
 }
@@ -38,23 +39,6 @@ impl std::fmt::Debug for Spec {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Spec").field("name", &self.name).finish_non_exhaustive()
     }
-}
-
-/// A map that workers may fetch.
-pub(super) struct ServedMap {
-    pub(super) digest: Digest,
-    pub(super) bytes: Bytes,
-    pub(super) sent: Arc<AtomicU64>,
-}
-
-/// Everything heavy of a job that has not ended.
-pub(super) struct Live {
-    pub(super) prepared: Option<Arc<PreparedJob>>,
-    pub(super) mergers: BTreeMap<MapKind, Merger>,
-    /// There once the first tile is.
-    pub(super) film: Option<Film>,
-    pub(super) maps: Vec<ServedMap>,
-    pub(super) blobs: BTreeSet<Digest>,
 }
 
 /// One job, from submission until it is forgotten.
@@ -68,6 +52,7 @@ pub(super) struct JobRecord {
     pub(super) channels: ChannelSet,
     /// Maps whose photons carry directions.
     pub(super) directions: BTreeSet<MapKind>,
+    /// Until it ends.
     pub(super) live: Option<Live>,
     pub(super) stats: JobStats,
     pub(super) image: Option<BlobRef>,
@@ -76,33 +61,23 @@ pub(super) struct JobRecord {
     pub(super) about: About,
     submitted: Duration,
     state: JobState,
+    round: u32,
+    rounds: u32,
     state_since: Duration,
     progress: watch::Sender<JobProgress>,
 }
 
 impl JobRecord {
-    pub(super) fn new(id: JobId, spec: Spec, now: Duration) -> Self {
-        let Spec { name, request_key, manifest, settings, prepared } = spec;
+    pub(super) fn new(id: JobId, spec: Spec, phases: &[Phase], sink: Option<Arc<dyn Sink>>, now: Duration) -> Self {
+        let live = Live::new(&spec, sink);
+        let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
-        let mut mergers = BTreeMap::new();
-        let mut maps = Vec::new();
-        for phase in prepared.phases() {
-            if let Phase::Emission { map: kind, paths, .. } = phase {
-                mergers.insert(kind, Merger::new(kind, EmissionRange { first: 0, end: paths }));
-                maps.push(MapStats { kind, emitted_count: 0, emitted_total: paths, stored_count: 0, bytes: 0 });
-            }
-        }
-        let about = About::new(&prepared);
-        let live = Live {
-            mergers,
-            film: None,
-            maps: Vec::new(),
-            blobs: manifest.blobs().iter().map(|b| b.digest).collect(),
-            prepared: Some(prepared),
-        };
+        let about = About::new(&prepared, phases);
+        let maps = map_stats(phases);
         let stats = JobStats { maps, k: settings.k, gather_radius: settings.max_radius, ..JobStats::default() };
-        let first = snapshot(id, &name, &stats);
+        let rounds = phases.iter().filter(|p| matches!(p, Phase::Gather { .. })).count().max(1) as u32;
+        let first = JobProgress { rounds, ..snapshot(id, &name, &stats) };
         JobRecord {
             id,
             name,
@@ -119,6 +94,8 @@ impl JobRecord {
             about,
             submitted: now,
             state: JobState::Waiting,
+            round: 0,
+            rounds,
             state_since: now,
             progress: watch::Sender::new(first),
         }
@@ -153,52 +130,73 @@ impl JobRecord {
     pub(super) fn refresh(&mut self, now: Duration, scheduler: &Scheduler) {
         let Some(job) = scheduler.job(self.id) else { return };
         self.count_broadcast();
-        self.stats.retried_leases = job.retried;
-        for e in &job.emissions {
-            if let Some(m) = self.map_stats(e.kind) {
-                m.emitted_count = e.work.done.units();
-                m.stored_count = e.work.stored;
-            }
-        }
+        self.count(job);
         let holders: BTreeSet<_> = scheduler.leases().filter(|l| l.lease.job == self.id).map(|l| l.worker).collect();
         let (state, units) = self.visible_state(job, holders.len() as u64);
         self.publish(now, state, units, holders.len() as u32);
     }
+    /// Takes over what the scheduler has counted.
+    pub(super) fn count(&mut self, job: &Job) {
+        for m in &mut self.stats.maps {
+            let total = job.total(Kind::Emission(m.kind));
+            (m.emitted_count, m.stored_count) = (total.units, total.stored);
+        }
+        let done = job.done();
+        self.stats.retried_leases = job.retried;
+        self.stats.rounds_done = done.rounds;
+        self.stats.units_done = done.units;
+        self.stats.ended_by = done.ended_by;
+        self.change_to(job.round().min(self.rounds - 1));
+    }
+    fn change_to(&mut self, round: u32) {
+        if round != self.round {
+            self.round = round;
+            // The same state of another round begins anew.
+            self.state_since = Duration::MAX;
+        }
+    }
     fn count_broadcast(&mut self) {
         if let Some(live) = &self.live {
-            self.stats.broadcast_bytes = live.maps.iter().map(|m| m.sent.load(Ordering::Relaxed)).sum();
+            self.stats.broadcast_bytes = live.sent_bytes();
         }
     }
     /// The state a client sees, with units done and in all.
     fn visible_state(&self, job: &Job, workers: u64) -> (JobState, (u64, u64)) {
-        let done = |e: &Emission| (e.work.done.units(), e.work.phase.units());
         if workers == 0 && self.state == JobState::Waiting && job.open_phases().next().is_some() {
             return (JobState::Waiting, (0, 0));
         }
-        match job.stage {
-            JobStage::Assembling => (JobState::Assemble, (0, 0)),
-            JobStage::Gathering => {
-                let map_bytes: u64 = job.maps().iter().map(|m| m.bytes).sum();
-                let (tiles, total) = (job.gather.done.units(), job.gather.phase.units());
-                let broadcast_total = map_bytes * workers.max(1);
-                if tiles == 0 && map_bytes > 0 && self.stats.broadcast_bytes < broadcast_total {
-                    (JobState::Broadcast, (self.stats.broadcast_bytes, broadcast_total))
-                } else {
-                    (JobState::Gather, (tiles, total))
-                }
-            }
-            JobStage::Emitting => {
-                let find = |stage: MapStage| job.emissions.iter().find(move |e| e.stage == stage);
-                match (find(MapStage::Emitting), find(MapStage::Building)) {
-                    (Some(e), _) => (JobState::Emission(e.kind), done(e)),
-                    (None, Some(e)) => (JobState::Merge(e.kind), (0, e.work.stored)),
-                    (None, None) => (JobState::Gather, (0, 0)),
-                }
+        if job.is_assembling() {
+            return (JobState::Assemble, (0, 0));
+        }
+        let round = job.round();
+        let in_stage = |stage: Stage| job.steps().filter(move |s| s.round() == round && s.stage == stage);
+        let done = |s: &Step| (s.work.done.units(), s.work.phase.units());
+        // What the round's other phases wait for comes first.
+        for s in in_stage(Stage::Working).chain(in_stage(Stage::Building)) {
+            match (s.work.phase, s.stage) {
+                (Phase::Emission { map, .. }, Stage::Working) => return (JobState::Emission(map), done(s)),
+                (Phase::Emission { map, .. }, _) => return (JobState::Merge(map), (0, s.work.stored)),
+                (Phase::Bootstrap { .. }, _) => return (JobState::Bootstrap, done(s)),
+                _ => {}
             }
         }
+        match in_stage(Stage::Working).next() {
+            Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => (JobState::Splat, done(s)),
+            Some(s) => self.gathering(job, round, workers, done(s)),
+            None => (JobState::Gather, (0, 0)),
+        }
+    }
+    /// The state of a gather phase: maps are on their way until the first tiles are there.
+    fn gathering(&self, job: &Job, round: u32, workers: u64, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
+        let bytes: u64 = job.maps(round).iter().map(|m| m.bytes).sum();
+        let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes * workers.max(1));
+        if tiles.0 == 0 && bytes > 0 && sent < total {
+            return (JobState::Broadcast, (sent, total));
+        }
+        (JobState::Gather, tiles)
     }
     fn publish(&mut self, now: Duration, state: JobState, (done, total): (u64, u64), workers: u32) {
-        if state != self.state {
+        if state != self.state || self.state_since > now {
             self.state_since = now;
             self.state = state;
         }
@@ -214,6 +212,8 @@ impl JobRecord {
             workers,
             stats: self.stats.clone(),
             result_digest: self.image.map(|i| i.digest),
+            round: self.round,
+            rounds: self.rounds,
             ..snapshot(self.id, &self.name, &self.stats)
         };
         self.progress.send_replace(next);
@@ -233,5 +233,20 @@ fn snapshot(id: JobId, name: &str, stats: &JobStats) -> JobProgress {
         workers: 0,
         stats: stats.clone(),
         result_digest: None,
+        round: 0,
+        rounds: 1,
     }
+}
+
+/// One entry a kind of map, over all rounds.
+fn map_stats(phases: &[Phase]) -> Vec<MapStats> {
+    let mut maps: Vec<MapStats> = Vec::new();
+    for phase in phases {
+        let Phase::Emission { map: kind, paths, .. } = *phase else { continue };
+        match maps.iter_mut().find(|m| m.kind == kind) {
+            Some(m) => m.emitted_total += paths,
+            None => maps.push(MapStats { kind, emitted_count: 0, emitted_total: paths, stored_count: 0, bytes: 0 }),
+        }
+    }
+    maps
 }

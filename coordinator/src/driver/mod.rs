@@ -5,26 +5,27 @@
 
 mod handle;
 mod job;
+mod live;
 mod sessions;
+mod steps;
 
 pub use handle::{Delivery, Handle, Joined, NoImage, Payload, Source, SubmitError, Ticket};
 pub use job::Spec;
 
-pub(crate) use handle::{BuiltMap, Image};
+pub(crate) use handle::{Built, Image, Made};
 
-use crate::compute::{Compute, Panicked};
+use crate::compute::Compute;
 use crate::random::random_u64;
+use crate::schedule::job::can_end_early;
 use crate::schedule::{Command, Event, Policy, Scheduler};
 use crate::store::Store;
 use crate::types::JobId;
-use crate::{assemble, merge};
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{FromWorker, Task, ToWorker, WorkerId};
-use gatherlight_render::film::Film;
-use gatherlight_render::job::PhotonMap;
-use gatherlight_render::photon::MapKind;
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Phase, PhotonMap};
 use handle::Input;
-use job::{JobRecord, ServedMap};
+use job::JobRecord;
 use sessions::Sessions;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -46,8 +47,15 @@ pub enum KeepImage {
     Exr,
 }
 
-/// Takes a map that is searched in this process, under the digest that leases name.
-pub type MapSink = Arc<dyn Fn(Digest, PhotonMap) + Send + Sync>;
+/// Takes what workers of this process read, under the digest that leases name.
+pub trait Sink: Send + Sync {
+    /// A photon map.
+    fn offer_map(&self, digest: Digest, map: PhotonMap);
+    /// A bootstrap.
+    fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>);
+    /// What was offered under this digest is not read any more; to be called once for each offer.
+    fn withdraw(&self, digest: Digest);
+}
 
 /// How a driver runs.
 #[derive(Clone)]
@@ -62,8 +70,8 @@ pub struct DriverConfig {
     pub keep: KeepImage,
     /// Heartbeats asked of workers.
     pub heartbeat: Duration,
-    /// Where maps go when every worker is in this process; otherwise they are encoded for the broadcast.
-    pub map_sink: Option<MapSink>,
+    /// Where maps and bootstraps go when every worker is in this process; otherwise they are encoded for the broadcast.
+    pub sink: Option<Arc<dyn Sink>>,
 }
 
 /// The loop's state.
@@ -163,7 +171,7 @@ impl Driver {
                 let known = self.sessions.worker(session).is_some();
                 drop(reply.send(known.then(|| self.source(digest)).flatten()));
             }
-            Input::MapBuilt(id, built) => self.map_built(id, built),
+            Input::Built(id, round, built) => self.built(id, round, built),
             Input::Assembled(id, image) => self.assembled(id, image),
             // The loop has ended before it gets here.
             Input::Shutdown => {}
@@ -173,6 +181,10 @@ impl Driver {
     fn submit(&mut self, spec: Spec) -> Result<JobId, SubmitError> {
         if let Some(job) = self.jobs.values().find(|j| j.request_key == spec.request_key) {
             return Ok(job.id);
+        }
+        let phases = spec.prepared.phases();
+        if spec.limits.time.is_some() && !can_end_early(&phases) {
+            return Err(SubmitError::Limits(spec.settings.method.name()));
         }
         let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);
         if needed > limit {
@@ -186,11 +198,11 @@ impl Driver {
         while self.jobs.contains_key(&id) {
             id = JobId(random_u64());
         }
-        let phases = spec.prepared.phases();
-        tracing::info!(job = %id, name = spec.name, ?phases, "submitted");
-        self.jobs.insert(id, JobRecord::new(id, spec, self.now()));
+        tracing::info!(job = %id, name = spec.name, phases = phases.len(), "submitted");
+        let limits = spec.limits;
+        self.jobs.insert(id, JobRecord::new(id, spec, &phases, self.config.sink.clone(), self.now()));
         self.order.push(id);
-        self.event(Event::Submitted { job: id, phases });
+        self.event(Event::Submitted { job: id, phases, limits });
         self.forget_old_jobs();
         Ok(id)
     }
@@ -236,11 +248,16 @@ impl Driver {
             range: header.range,
             busy: header.busy,
             task: open.lease.task.clone(),
+            phase: self.scheduler.job(open.lease.job)?.work(open.phase)?.phase,
             grid: job.grid,
-            channels: job.channels.len(),
+            channels: job.channels.clone(),
             directions: match open.lease.task {
-                Task::Emission(kind) => job.directions.contains(&kind),
-                Task::Gather(_) => false,
+                Task::Emission { map, .. } => job.directions.contains(&map),
+                _ => false,
+            },
+            light: match open.lease.task {
+                Task::Gather { .. } | Task::Splat { .. } => job.live.as_ref()?.empty_light(),
+                _ => None,
             },
         })
     }
@@ -254,10 +271,10 @@ impl Driver {
     /// Offers a result to the scheduler and, where it counts, puts it to use.
     fn complete(&mut self, delivery: Delivery) -> bool {
         let Delivery { ticket, payload, bytes } = delivery;
-        let Ticket { worker, lease, attempt, range, busy, task, .. } = ticket;
+        let Ticket { worker, lease, attempt, range, busy, phase, .. } = ticket;
         let stored = match &payload {
             Payload::Photons(batch) => batch.len() as u64,
-            Payload::Tiles(_) => 0,
+            _ => 0,
         };
         let completed = Event::Completed { worker, lease, attempt, range, busy, stored };
         let commands = self.scheduler.handle(self.now(), completed);
@@ -265,11 +282,14 @@ impl Driver {
             Command::Accept { job, lease: l } if *l == lease => Some(*job),
             _ => None,
         });
-        let used = accepted.map(|job| (job, self.put_to_use(job, &task, payload, busy, bytes)));
+        let used = accepted.map(|job| (job, self.put_to_use(job, phase, payload, busy, bytes)));
         self.carry_out(commands);
         match used {
             Some((job, Err(error))) => self.event(Event::StepFailed { job, error }),
-            Some((job, Ok(()))) => self.refresh(job),
+            Some((job, Ok(()))) => {
+                self.add_light(job);
+                self.refresh(job);
+            }
             None => tracing::debug!(worker = worker.0, lease = lease.0, "stale result discarded"),
         }
         accepted.is_some()
@@ -278,7 +298,7 @@ impl Driver {
     fn put_to_use(
         &mut self,
         id: JobId,
-        task: &Task,
+        phase: Phase,
         payload: Payload,
         busy: Duration,
         bytes: u64,
@@ -287,23 +307,7 @@ impl Driver {
         job.stats.busy += busy;
         job.stats.result_bytes += bytes;
         let live = job.live.as_mut().ok_or("the job has ended")?;
-        match (payload, task) {
-            (Payload::Photons(batch), Task::Emission(kind)) => {
-                let merger = live.mergers.get_mut(kind).ok_or("its map is built already")?;
-                merger.insert(batch).map_err(|e| e.to_string())
-            }
-            (Payload::Tiles(tiles), Task::Gather(_)) => {
-                let film =
-                    live.film.get_or_insert_with(|| Film::new(job.grid.width, job.grid.height, job.channels.clone()));
-                for tile in &tiles {
-                    film.insert(tile).map_err(|e| e.to_string())?;
-                    job.stats.rays += tile.rays;
-                    job.stats.non_finite += tile.non_finite;
-                }
-                Ok(())
-            }
-            _ => Err("a result is of another kind than its task".into()),
-        }
+        live.put_to_use(payload, phase, &mut job.stats)
     }
 
     fn event(&mut self, event: Event) {
@@ -324,8 +328,9 @@ impl Driver {
                 Command::Revoke { worker, lease } => self.send(worker, ToWorker::Revoke(lease)),
                 Command::Forget { worker, job } => self.send(worker, ToWorker::Forget(job)),
                 Command::Accept { .. } | Command::Discard { .. } => {}
-                Command::BuildMap { job, kind } => self.build_map(job, kind),
-                Command::Assemble { job } => self.assemble(job),
+                Command::Build { job, phase } => self.build(job, phase),
+                Command::Retire { job, round } => self.retire(job, round),
+                Command::Assemble { job, done } => self.assemble(job, done),
                 Command::Finish { job, outcome } => {
                     tracing::info!(%job, ?outcome, "ended");
                     let now = self.now();
@@ -353,72 +358,6 @@ impl Driver {
         }
     }
 
-    fn build_map(&mut self, id: JobId, kind: MapKind) {
-        let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
-        let (Some(merger), Some(prepared)) = (live.mergers.remove(&kind), live.prepared.clone()) else { return };
-        if live.mergers.is_empty() {
-            live.prepared = None;
-        }
-        let (own, sink) = (self.own.clone(), self.config.map_sink.clone());
-        self.compute.spawn(
-            move || merge::build(kind, merger, &prepared, sink.as_ref()),
-            move |built| report(&own, Input::MapBuilt(id, flat(built))),
-        );
-        self.refresh(id);
-    }
-
-    fn map_built(&mut self, id: JobId, built: Result<BuiltMap, String>) {
-        let built = match built {
-            Ok(built) => built,
-            Err(error) => return self.event(Event::StepFailed { job: id, error }),
-        };
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let BuiltMap { map, bytes, stored_count, gather_radius } = built;
-        job.about.gather_radii.insert(map.kind, gather_radius);
-        job.stats.gather_radius = job.about.gather_radii.values().copied().reduce(f32::max);
-        if let Some(stats) = job.map_stats(map.kind) {
-            (stats.bytes, stats.stored_count) = (map.bytes, stored_count);
-        }
-        let Some(live) = job.live.as_mut() else { return };
-        live.maps.push(ServedMap { digest: map.digest, bytes, sent: Arc::default() });
-        tracing::info!(job = %id, map = map.kind.name(), bytes = map.bytes, photons = stored_count, "map built");
-        self.event(Event::MapBuilt { job: id, map });
-        self.refresh(id);
-    }
-
-    fn assemble(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(live) = job.live.as_mut() else { return };
-        let Some(film) = live.film.take() else { return };
-        let metadata = job.about.metadata(&job.settings, &job.stats);
-        let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
-        self.compute.spawn(
-            move || assemble::finish(film, &metadata, keep, &store),
-            move |image| report(&own, Input::Assembled(id, flat(image))),
-        );
-        self.refresh(id);
-    }
-
-    fn assembled(&mut self, id: JobId, image: Result<Image, String>) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        match image {
-            Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, *metadata)),
-            Ok(Image::Stored(blob)) => job.image = Some(blob),
-            Err(error) => return self.event(Event::StepFailed { job: id, error }),
-        }
-        self.event(Event::Assembled { job: id });
-    }
-
-    /// Where this digest is: a map of a live job, or a blob of a live job's scene. Anything else is nobody's business.
-    fn source(&self, digest: Digest) -> Option<Source> {
-        let mut live = self.jobs.values().filter_map(|j| j.live.as_ref());
-        live.find_map(|l| {
-            let map = l.maps.iter().find(|m| m.digest == digest);
-            let map = map.map(|m| Source::Map { bytes: m.bytes.clone(), sent: m.sent.clone() });
-            map.or_else(|| l.blobs.contains(&digest).then_some(Source::Blob(digest)))
-        })
-    }
-
     fn refresh(&mut self, id: JobId) {
         let now = self.now();
         if let Some(job) = self.jobs.get_mut(&id) {
@@ -432,16 +371,4 @@ impl Driver {
             job.refresh(now, &self.scheduler);
         }
     }
-}
-
-/// From a compute thread to the driver, if it is still there.
-fn report(own: &mpsc::WeakSender<Input>, input: Input) {
-    if let Some(handle) = Handle::upgrade(own) {
-        handle.report(input);
-    }
-}
-
-/// A panic is a failure like others.
-fn flat<T>(result: Result<Result<T, String>, Panicked>) -> Result<T, String> {
-    result.unwrap_or_else(|panic| Err(panic.to_string()))
 }

@@ -1,7 +1,7 @@
 //! Handing out leases.
 
-use super::job::{Job, Retry, Work};
 use super::policy::Situation;
+use super::work::{Kind, Retry, Work};
 use super::{Command, OpenLease, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
@@ -60,7 +60,7 @@ impl Scheduler {
                 return Some((phase, retry));
             }
             if !work.fresh.is_empty() {
-                let units = self.policy.lease_units(work.phase, self.situation(job, phase, worker, work)?);
+                let units = self.policy.lease_units(work.phase, self.situation(job, worker, work)?);
                 let from = self.policy.shuffle.map_or(0, |seed| mix(seed, self.last_lease) % work.phase.units());
                 let range = self.jobs.get_mut(&job)?.work_mut(phase)?.fresh.take_from(from, units)?;
                 return Some((phase, Retry { range, history: Default::default(), since: self.now }));
@@ -79,18 +79,19 @@ impl Scheduler {
         !failed_by(worker) || (waited && !self.workers.iter().any(could))
     }
 
-    fn situation(&self, job: JobId, phase: usize, worker: WorkerId, work: &Work) -> Option<Situation> {
+    fn situation(&self, job: JobId, worker: WorkerId, work: &Work) -> Option<Situation> {
         let w = self.workers.get(&worker)?;
-        let rate = w.rate((job, phase));
+        let key = (job, Kind::of(work.phase));
+        let rate = w.rate(key);
         let active = || self.workers.values().filter(|w| !w.draining);
-        let measured = || active().filter_map(|w| w.rate((job, phase)));
+        let measured = || active().filter_map(|w| w.rate(key));
         let share = match rate {
             // Workers not measured yet count as average ones.
             Some(r) => r / (measured().sum::<f64>() / measured().count() as f64 * active().count() as f64),
             None => 1.0 / active().count() as f64,
         };
         let remaining = work.fresh.units();
-        let stored_per_unit = work.stored_per_unit();
+        let stored_per_unit = self.jobs.get(&job)?.stored_per_unit(key.1);
         Some(Situation { threads: w.threads, rate, share: share.clamp(1e-6, 1.0), remaining, stored_per_unit })
     }
 
@@ -108,12 +109,16 @@ impl Scheduler {
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);
-        let Some(task) = self.jobs.get(&job).map(|j: &Job| j.task(phase)) else { return };
+        let Some((task, phase_of)) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase)))
+        else {
+            return;
+        };
         let lease = Lease { id, attempt: history.attempts, job, range, task };
         let Some(w) = self.workers.get_mut(&worker) else { return };
         w.leases.insert(id);
         // The lease may wait behind the others the worker holds.
-        let time = self.policy.lease_time(range.len(), w.rate((job, phase)), history.attempts);
+        let rate = w.rate((job, Kind::of(phase_of)));
+        let time = self.policy.lease_time(phase_of, range.len(), rate, history.attempts);
         let deadline = now + time * w.leases.len() as u32;
         out.push(Command::Assign { worker, lease: lease.clone() });
         self.leases.insert(id, OpenLease { lease, phase, worker, deadline, history });

@@ -1,10 +1,11 @@
 //! What can happen, and what is to be done about it.
 
+use super::job::Done;
 use core::time::Duration;
-use gatherlight_proto::message::{Lease, LeaseId, MapRef, WorkerId};
-use gatherlight_proto::types::JobId;
+use gatherlight_proto::message::{InputRef, Lease, LeaseId, WorkerId};
+use gatherlight_proto::types::{JobId, Limits};
 use gatherlight_render::job::Phase;
-use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::photon::EmissionRange;
 
 /// Something happened.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,8 +14,10 @@ pub enum Event {
     Submitted {
         /// Its new id.
         job: JobId,
-        /// Its phases; the last one is the gather pass.
+        /// Its phases, in order.
         phases: Vec<Phase>,
+        /// When to end it early.
+        limits: Limits,
     },
     /// A client wants it no more.
     Cancelled {
@@ -78,12 +81,14 @@ pub enum Event {
         /// Its attempt.
         attempt: u32,
     },
-    /// [`Command::BuildMap`] is done.
-    MapBuilt {
+    /// [`Command::Build`] is done.
+    Built {
         /// The job.
         job: JobId,
-        /// Where workers find the map.
-        map: MapRef,
+        /// The phase's round.
+        round: u32,
+        /// What was made, and where workers find it.
+        input: InputRef,
     },
     /// [`Command::Assemble`] is done.
     Assembled {
@@ -152,7 +157,7 @@ pub enum Command {
         /// The job.
         job: JobId,
     },
-    /// The result that just completed counts: merge its photons or insert its tiles.
+    /// The result that just completed counts: put it to use.
     Accept {
         /// The job.
         job: JobId,
@@ -166,17 +171,26 @@ pub enum Command {
         /// Why.
         reason: Discarded,
     },
-    /// All photons of a map are there: merge them, build the map, encode it for the broadcast.
-    BuildMap {
+    /// All results of an emission or bootstrap phase are there: join them, and make of them what workers read.
+    Build {
         /// The job.
         job: JobId,
-        /// The map.
-        kind: MapKind,
+        /// The phase.
+        phase: Phase,
     },
-    /// All tiles are there: put the image together.
+    /// All tiles of a round are there, and another round follows: nobody reads the round's maps any more.
+    Retire {
+        /// The job.
+        job: JobId,
+        /// The round.
+        round: u32,
+    },
+    /// Everything is there: put the image together.
     Assemble {
         /// The job.
         job: JobId,
+        /// What it is made of.
+        done: Done,
     },
     /// The job has ended.
     Finish {

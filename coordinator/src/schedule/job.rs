@@ -1,108 +1,64 @@
 //! One job's work: what is handed out, what is done, what comes next.
 //!
+//! A job is its list of phases, cut into rounds. Phases are begun in order, and those of one round and the next are in
+//! progress at once: the window.
+//!
 //! ```text
-//!               all photons there           all maps built            all tiles there
-//!  each map:  Emitting ───► Building ───► Built
-//!  the job:   Emitting ─────────────────────────► Gathering ─────────► Assembling ───► Done
-//!                 └───────────────────────────────────┴───────────────────┴──────────► Failed | Cancelled
+//!                          all indices done        input made
+//!  emission, bootstrap:  Working ───► Building ───► Complete
+//!  gather, splat:        Working ─────────────────► Complete
+//!
+//!                     all of round r complete:              after the last round,
+//!                     its maps are retired                  or when a limit is reached
+//!  the job:   round 0 ───► … ───► round r ───► round r + 1 ───► … ───► Assembling ───► Done
+//!                └───────────────────┴─────────────┴───────────────────────┴─────────► Failed | Cancelled
 //! ```
-//! Maps are worked on in order, and the next one is begun as soon as nothing of the one before is left to hand out: one
-//! is merged while the next is traced. A method without photons begins with Gathering.
+//! - An emission or bootstrap is open as soon as it is in the window; a gather once all maps of its round are built and
+//!   the gather before it is complete, because a tile's rounds are summed in order; a splat once its bootstrap is built.
+//! - Open phases are handed out in order: the next one gives work only where nothing of those before is left. So one map
+//!   is merged while the next is traced, and the photons of a round are traced while the tiles of the one before are
+//!   finished.
+//! - Emission is at most one round ahead of the gather. So there are never more than two rounds' photons anywhere, however
+//!   many rounds there are.
+//! - A limit ends the job between two rounds, and a splat phase between two leases: what is handed out is finished, and
+//!   counts.
 
-use super::pool::IntervalPool;
+use super::work::{Kind, Retry, Total, Work};
 use core::time::Duration;
-use gatherlight_proto::message::{MapRef, Task, WorkerId};
-use gatherlight_proto::types::JobId;
+use gatherlight_proto::message::{BlobRef, InputRef, MapRef, Task};
+use gatherlight_proto::types::{JobId, Limit, Limits};
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::collections::{BTreeMap, VecDeque};
 
-/// What is remembered of indices that came back undone.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct History {
-    /// Times they were leased.
-    pub attempts: u32,
-    /// Times their worker was lost or late.
-    pub losses: u32,
-    /// Who failed on them, and why.
-    pub failures: Vec<(WorkerId, String)>,
-}
-
-/// Indices to be leased again, as they were.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Retry {
-    /// The indices.
-    pub range: EmissionRange,
-    /// Their past.
-    pub history: History,
-    /// When they came back.
-    pub since: Duration,
-}
-
-/// The indices of one phase.
-#[derive(Clone, Debug)]
-pub struct Work {
-    /// The phase.
-    pub phase: Phase,
-    /// Never leased.
-    pub fresh: IntervalPool,
-    /// To be leased again.
-    pub retries: Vec<Retry>,
-    /// Done; never handed out again.
-    pub done: IntervalPool,
-    /// Photons in accepted results.
-    pub stored: u64,
-}
-
-impl Work {
-    fn new(phase: Phase) -> Self {
-        let fresh = IntervalPool::full(phase.units());
-        Work { phase, fresh, retries: Vec::new(), done: IntervalPool::default(), stored: 0 }
-    }
-    /// Units not handed out now.
-    pub fn waiting(&self) -> u64 {
-        self.fresh.units() + self.retries.iter().map(|r| r.range.len()).sum::<u64>()
-    }
-    /// Whether every index is done.
-    pub fn is_complete(&self) -> bool {
-        self.done.units() == self.phase.units()
-    }
-    /// Photons stored per path so far.
-    pub fn stored_per_unit(&self) -> f64 {
-        if self.done.is_empty() { 0.0 } else { self.stored as f64 / self.done.units() as f64 }
-    }
-}
-
-/// State of one map.
+/// State of a phase in the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MapStage {
-    /// Photons are missing.
-    Emitting,
-    /// The coordinator merges and builds.
+pub enum Stage {
+    /// Indices are missing.
+    Working,
+    /// The coordinator joins the results.
     Building,
-    /// Workers may fetch it.
-    Built(MapRef),
+    /// All is done; workers may fetch what was made of it.
+    Complete(Option<InputRef>),
 }
 
-/// One map's emission.
+/// A phase in the window.
 #[derive(Clone, Debug)]
-pub struct Emission {
-    /// Which map.
-    pub kind: MapKind,
-    /// Its paths.
+pub struct Step {
+    /// Its indices.
     pub work: Work,
     /// Its state.
-    pub stage: MapStage,
+    pub stage: Stage,
 }
 
-/// State of the job; see the drawing above. Ended jobs are no longer here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JobStage {
-    /// Maps are missing.
-    Emitting,
-    /// Tiles are missing.
-    Gathering,
-    /// The coordinator puts the image together.
-    Assembling,
+impl Step {
+    /// Its round.
+    pub fn round(&self) -> u32 {
+        self.work.phase.round()
+    }
+    fn is_complete(&self) -> bool {
+        matches!(self.stage, Stage::Complete(_))
+    }
 }
 
 /// A job that has not ended.
@@ -110,16 +66,32 @@ pub enum JobStage {
 pub struct Job {
     /// Its id.
     pub id: JobId,
-    /// Its maps, in order.
-    pub emissions: Vec<Emission>,
-    /// Its tiles.
-    pub gather: Work,
-    /// Its state.
-    pub stage: JobStage,
+    phases: Vec<Phase>,
+    window: VecDeque<Step>,
+    /// Index of the window's first phase in `phases`.
+    first: usize,
+    /// All rounds that will be are there: the coordinator puts the image together.
+    assembling: bool,
+    limits: Limits,
+    submitted: Duration,
+    totals: BTreeMap<Kind, Total>,
+    rounds_done: u32,
+    ended_by: Option<Limit>,
     /// Leases handed out again so far.
     pub retried: u64,
     /// Since when every worker that is there is set aside.
     pub stuck_since: Option<Duration>,
+}
+
+/// What the image is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Done {
+    /// Rounds of the gather phase.
+    pub rounds: u32,
+    /// Units of the splat phase.
+    pub units: u64,
+    /// The limit that ended it before all rounds and units were done.
+    pub ended_by: Option<Limit>,
 }
 
 /// What a job wants of the coordinator after a step.
@@ -127,82 +99,232 @@ pub struct Job {
 pub enum Next {
     /// Nothing new.
     Nothing,
-    /// Merge and build this map.
-    Build(MapKind),
-    /// Put the image together.
-    Assemble,
+    /// Join the results of this emission or bootstrap phase.
+    Build(Phase),
+    /// Drop the maps of this round.
+    Retire(u32),
+    /// Put the image together; leases that are still out are not wanted any more.
+    Assemble(Done),
+}
+
+/// Whether a job with these phases can end before all its work is done: between two rounds, or two units.
+pub fn can_end_early(phases: &[Phase]) -> bool {
+    let round = |p: Option<&Phase>| p.map_or(0, Phase::round);
+    round(phases.first()) != round(phases.last()) || phases.iter().any(|p| matches!(p, Phase::Splat { .. }))
+}
+
+/// Whether the phases are rounds 0, 1, … of emissions with one gather behind them; the first may have a splat phase,
+/// with or without a bootstrap before it.
+fn make_sense(phases: &[Phase]) -> bool {
+    let mut rounds = 0;
+    let ordered = phases.chunk_by(|a, b| a.round() == b.round()).all(|round| {
+        let number = rounds;
+        rounds += 1;
+        round.first().is_some_and(|p| p.round() == number) && is_round(round)
+    });
+    ordered && rounds > 0
+}
+
+fn is_round(round: &[Phase]) -> bool {
+    let place = |p: &dyn Fn(&Phase) -> bool| round.iter().position(p);
+    let count = |kind: Kind| round.iter().filter(|&&p| Kind::of(p) == kind).count();
+    let last = |kind: Kind| round.iter().rposition(|&p| Kind::of(p) == kind);
+    let gather = place(&|p| matches!(p, Phase::Gather { .. }));
+    let splat = place(&|p| matches!(p, Phase::Splat { .. }));
+    round.iter().all(|&p| count(Kind::of(p)) == 1)
+        && MapKind::ALL.iter().all(|&m| last(Kind::Emission(m)).is_none_or(|e| gather.is_some_and(|g| e < g)))
+        && last(Kind::Bootstrap).is_none_or(|b| splat.is_some_and(|s| b < s))
+        && gather.max(splat) == round.len().checked_sub(1)
 }
 
 impl Job {
-    /// `None` when the last phase is not the gather pass, or it is not the only one.
-    pub fn new(id: JobId, phases: &[Phase]) -> Option<Self> {
-        let (&last, first) = phases.split_last()?;
-        let Phase::Gather { .. } = last else { return None };
-        let mut emissions: Vec<Emission> = Vec::new();
-        for &phase in first {
-            match phase {
-                Phase::Emission { map, .. } if emissions.iter().all(|e| e.kind != map) => {
-                    emissions.push(Emission { kind: map, work: Work::new(phase), stage: MapStage::Emitting });
-                }
-                _ => return None,
-            }
-        }
-        let stage = if emissions.is_empty() { JobStage::Gathering } else { JobStage::Emitting };
-        Some(Job { id, emissions, gather: Work::new(last), stage, retried: 0, stuck_since: None })
+    /// `None` when the phases make no job. Nothing is open before [`Job::advance`].
+    pub fn new(id: JobId, phases: Vec<Phase>, limits: Limits, now: Duration) -> Option<Self> {
+        make_sense(&phases).then(|| Job {
+            id,
+            phases,
+            window: VecDeque::new(),
+            first: 0,
+            assembling: false,
+            limits,
+            submitted: now,
+            totals: BTreeMap::new(),
+            rounds_done: 0,
+            ended_by: None,
+            retried: 0,
+            stuck_since: None,
+        })
     }
-    /// The phases with something to hand out, in order, by index; the gather pass comes after all emissions.
+    /// The phases in progress, in order.
+    pub fn steps(&self) -> impl Iterator<Item = &Step> {
+        self.window.iter()
+    }
+    /// The round that is worked on: the first one that is not complete.
+    pub fn round(&self) -> u32 {
+        self.window.front().map_or(self.rounds_done, Step::round)
+    }
+    /// Whether the coordinator puts the image together.
+    pub fn is_assembling(&self) -> bool {
+        self.assembling
+    }
+    /// What is done so far.
+    pub fn done(&self) -> Done {
+        Done { rounds: self.rounds_done, units: self.total(Kind::Splat).units, ended_by: self.ended_by }
+    }
+    /// Indices done of all phases of a kind, in all rounds.
+    pub fn total(&self, kind: Kind) -> Total {
+        self.totals.get(&kind).copied().unwrap_or_default()
+    }
+    /// Photons stored per path so far, in all rounds.
+    pub fn stored_per_unit(&self, kind: Kind) -> f64 {
+        let Total { units, stored } = self.total(kind);
+        if units == 0 { 0.0 } else { stored as f64 / units as f64 }
+    }
+    /// The phases with something to hand out, in order, by index.
     pub fn open_phases(&self) -> impl Iterator<Item = usize> + '_ {
-        let gather = (self.stage == JobStage::Gathering).then_some(self.emissions.len());
-        (0..self.emissions.len()).chain(gather).filter(|&i| self.work(i).is_some_and(|w| w.waiting() > 0))
+        let open = |&i: &usize| self.window[i].work.waiting() > 0 && self.is_open(i);
+        (0..self.window.len()).filter(open).map(|i| self.first + i)
     }
-    /// Work of phase `index`.
+    /// Whether what step `place` of the window reads is there.
+    fn is_open(&self, place: usize) -> bool {
+        let mut before = self.window.iter().take(place);
+        match self.window[place].work.phase {
+            Phase::Emission { .. } | Phase::Bootstrap { .. } => true,
+            Phase::Splat { .. } => before.all(|s| s.is_complete() || !matches!(s.work.phase, Phase::Bootstrap { .. })),
+            Phase::Gather { round, .. } => before.all(|s| match s.work.phase {
+                Phase::Emission { round: r, .. } => s.is_complete() || r != round,
+                Phase::Gather { .. } => s.is_complete(),
+                _ => true,
+            }),
+        }
+    }
+    /// Work of phase `index`, while it is in the window.
     pub fn work(&self, index: usize) -> Option<&Work> {
-        match self.emissions.get(index) {
-            Some(e) => Some(&e.work),
-            None => (index == self.emissions.len()).then_some(&self.gather),
-        }
+        index.checked_sub(self.first).and_then(|i| self.window.get(i)).map(|s| &s.work)
     }
-    /// Work of phase `index`.
+    /// Work of phase `index`, while it is in the window.
     pub fn work_mut(&mut self, index: usize) -> Option<&mut Work> {
-        let gather = self.emissions.len();
-        match self.emissions.get_mut(index) {
-            Some(e) => Some(&mut e.work),
-            None => (index == gather).then_some(&mut self.gather),
-        }
+        index.checked_sub(self.first).and_then(|i| self.window.get_mut(i)).map(|s| &mut s.work)
     }
     /// What a worker is told to do with indices of phase `index`.
-    pub fn task(&self, index: usize) -> Task {
-        match self.emissions.get(index) {
-            Some(e) => Task::Emission(e.kind),
-            None => Task::Gather(self.maps()),
+    pub fn task(&self, index: usize) -> Option<Task> {
+        Some(match self.work(index)?.phase {
+            Phase::Emission { round, map, .. } => Task::Emission { round, map },
+            Phase::Bootstrap { .. } => Task::Bootstrap,
+            Phase::Splat { .. } => Task::Splat { bootstrap: self.bootstrap() },
+            Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round) },
+        })
+    }
+    /// The maps of a round that are built, in order.
+    pub fn maps(&self, round: u32) -> Vec<MapRef> {
+        let map = |s: &Step| if let Stage::Complete(Some(InputRef::Map(map))) = s.stage { Some(map) } else { None };
+        self.window.iter().filter(|s| s.round() == round).filter_map(map).collect()
+    }
+    fn bootstrap(&self) -> Option<BlobRef> {
+        self.window.iter().find_map(|s| match s.stage {
+            Stage::Complete(Some(InputRef::Bootstrap(blob))) => Some(blob),
+            _ => None,
+        })
+    }
+    /// Counts indices of phase `index` as done.
+    pub fn completed(&mut self, index: usize, range: EmissionRange, stored: u64) {
+        let Some(work) = self.work_mut(index) else { return };
+        let new = work.done.insert(range);
+        debug_assert!(new, "an open lease never covers what is done");
+        work.stored += stored;
+        let kind = Kind::of(work.phase);
+        let total = self.totals.entry(kind).or_default();
+        total.units += range.len();
+        total.stored += stored;
+    }
+    /// Puts indices of phase `index` up to be leased again, unless a limit has ended the phase.
+    pub fn take_back(&mut self, index: usize, retry: Retry) {
+        self.retried += 1;
+        if let Some(work) = self.work_mut(index) {
+            work.take_back(retry);
         }
     }
-    /// The maps that are built, in order.
-    pub fn maps(&self) -> Vec<MapRef> {
-        let built = |e: &Emission| if let MapStage::Built(map) = e.stage { Some(map) } else { None };
-        self.emissions.iter().filter_map(built).collect()
-    }
-    /// Takes the steps that are due after something was done. To be called until it returns [`Next::Nothing`].
-    pub fn advance(&mut self) -> Next {
-        for e in &mut self.emissions {
-            if e.stage == MapStage::Emitting && e.work.is_complete() {
-                e.stage = MapStage::Building;
-                return Next::Build(e.kind);
+    /// Takes one step that is due after something was done, or time has passed. To be called until it returns
+    /// [`Next::Nothing`].
+    pub fn advance(&mut self, now: Duration) -> Next {
+        if self.assembling {
+            return Next::Nothing;
+        }
+        if self.is_time_over(now) {
+            self.end_splats();
+        }
+        self.begin();
+        for step in self.window.iter_mut().filter(|s| s.stage == Stage::Working && s.work.is_complete()) {
+            match step.work.phase {
+                phase @ (Phase::Emission { .. } | Phase::Bootstrap { .. }) => {
+                    step.stage = Stage::Building;
+                    return Next::Build(phase);
+                }
+                Phase::Splat { .. } | Phase::Gather { .. } => step.stage = Stage::Complete(None),
             }
         }
-        let built = self.emissions.iter().all(|e| matches!(e.stage, MapStage::Built(_)));
-        if self.stage == JobStage::Emitting && built {
-            self.stage = JobStage::Gathering;
-        }
-        if self.stage == JobStage::Gathering && self.gather.is_complete() {
-            self.stage = JobStage::Assembling;
-            return Next::Assemble;
-        }
-        Next::Nothing
+        self.end_round(now)
     }
-    /// Notes that a map is built. Returns whether that was awaited.
-    pub fn map_built(&mut self, map: MapRef) -> bool {
-        let awaited = self.emissions.iter_mut().find(|e| e.kind == map.kind && e.stage == MapStage::Building);
-        awaited.map(|e| e.stage = MapStage::Built(map)).is_some()
+    /// Moves the window on to the phases of the present round and the next.
+    fn begin(&mut self) {
+        let round = self.round();
+        while let Some(&phase) = self.phases.get(self.first + self.window.len()) {
+            if phase.round() > round + 1 {
+                return;
+            }
+            self.window.push_back(Step { work: Work::new(phase), stage: Stage::Working });
+        }
+    }
+    /// Drops the present round from the window, if all of it is complete.
+    fn end_round(&mut self, now: Duration) -> Next {
+        let round = self.round();
+        if self.window.iter().any(|s| s.round() == round && !s.is_complete()) {
+            return Next::Nothing;
+        }
+        while let Some(step) = self.window.pop_front_if(|s| s.round() == round) {
+            self.rounds_done += u32::from(matches!(step.work.phase, Phase::Gather { .. }));
+            self.first += 1;
+        }
+        if self.first < self.phases.len() {
+            if !self.is_time_over(now) {
+                return Next::Retire(round);
+            }
+            self.ended_by = Some(Limit::Time);
+            self.drop_window();
+        }
+        self.assembling = true;
+        Next::Assemble(self.done())
+    }
+    /// Forgets the round that was begun and will not be finished.
+    fn drop_window(&mut self) {
+        for step in self.window.drain(..) {
+            if let Some(total) = self.totals.get_mut(&Kind::of(step.work.phase)) {
+                total.units -= step.work.done.units();
+                total.stored -= step.work.stored;
+            }
+        }
+    }
+    /// Whether the time limit is reached.
+    fn is_time_over(&self, now: Duration) -> bool {
+        self.limits.time.is_some_and(|limit| now.saturating_sub(self.submitted) >= limit)
+    }
+    /// Ends the splat phases that have done something: an image needs one unit at least.
+    fn end_splats(&mut self) {
+        let splats = self.window.iter_mut().filter(|s| matches!(s.work.phase, Phase::Splat { .. }));
+        for step in splats.filter(|s| s.stage == Stage::Working && !s.work.done.is_empty()) {
+            if step.work.waiting() > 0 {
+                step.work.end();
+                self.ended_by = Some(Limit::Time);
+            }
+        }
+    }
+    /// Notes that the input made of a phase of `round` is there. Returns whether that was awaited.
+    pub fn built(&mut self, round: u32, input: InputRef) -> bool {
+        let kind = match input {
+            InputRef::Map(map) => Kind::Emission(map.kind),
+            InputRef::Bootstrap(_) => Kind::Bootstrap,
+        };
+        let is_it = |s: &&mut Step| s.stage == Stage::Building && s.round() == round && Kind::of(s.work.phase) == kind;
+        self.window.iter_mut().find(is_it).map(|s| s.stage = Stage::Complete(Some(input))).is_some()
     }
 }

@@ -1,5 +1,6 @@
 //! Who does what: a pure state machine. Events come in with the time they happened; commands go out, to be carried out
-//! by the driver. No clock, no tasks, no channels, no payload: only ids, counts and digests.
+//! by the driver. No clock, no tasks, no channels, no payload: only ids, counts and digests. What an event costs does not
+//! depend on the number of rounds.
 //!
 //! Every index of every phase is, at any time, in exactly one place: fresh, waiting for a retry, in one open lease, or
 //! done. So an index counts once, whatever arrives twice, late or not at all.
@@ -11,6 +12,7 @@ pub mod policy;
 pub mod pool;
 #[cfg(test)]
 mod tests;
+pub mod work;
 pub mod workers;
 
 pub use event::{Command, Discarded, Event, Outcome};
@@ -18,10 +20,12 @@ pub use policy::Policy;
 
 use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
-use gatherlight_proto::types::JobId;
+use gatherlight_proto::types::{JobId, Limits};
+use gatherlight_render::job::Phase;
 use gatherlight_render::photon::EmissionRange;
-use job::{History, Job, Next, Retry};
+use job::{Job, Next};
 use std::collections::{BTreeMap, VecDeque};
+use work::{History, Kind, Retry};
 use workers::{Worker, Workers};
 
 /// A lease that is out.
@@ -62,7 +66,7 @@ impl Scheduler {
         self.now = now;
         let mut out = Vec::new();
         match event {
-            Event::Submitted { job, phases } => self.submitted(job, &phases, &mut out),
+            Event::Submitted { job, phases, limits } => self.submitted(job, phases, limits, &mut out),
             Event::Cancelled { job } => self.end(job, Outcome::Cancelled, &mut out),
             Event::Joined { worker, threads } => drop(self.workers.insert(worker, Worker::new(now, threads))),
             Event::Heard { worker } => self.heard(now, worker),
@@ -82,8 +86,8 @@ impl Scheduler {
                     self.take_back(lease, |_| {}, &mut out);
                 }
             }
-            Event::MapBuilt { job, map } => {
-                if self.jobs.get_mut(&job).is_some_and(|j| j.map_built(map)) {
+            Event::Built { job, round, input } => {
+                if self.jobs.get_mut(&job).is_some_and(|j| j.built(round, input)) {
                     self.advance(job, &mut out);
                 }
             }
@@ -119,9 +123,9 @@ impl Scheduler {
         self.leases.get(&lease)
     }
 
-    fn submitted(&mut self, id: JobId, phases: &[gatherlight_render::job::Phase], out: &mut Vec<Command>) {
-        let Some(job) = Job::new(id, phases) else {
-            let error = "the job's phases are not emissions followed by one gather pass".to_owned();
+    fn submitted(&mut self, id: JobId, phases: Vec<Phase>, limits: Limits, out: &mut Vec<Command>) {
+        let Some(job) = Job::new(id, phases, limits, self.now) else {
+            let error = "the job's phases are not rounds of emissions and a gather, or a splat".to_owned();
             out.push(Command::Finish { job: id, outcome: Outcome::Failed(error) });
             return;
         };
@@ -164,12 +168,13 @@ impl Scheduler {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.leases.remove(&lease);
             w.completed += 1;
-            w.measured((open.lease.job, open.phase), range.len(), busy);
         }
-        let Some(work) = self.jobs.get_mut(&open.lease.job).and_then(|j| j.work_mut(open.phase)) else { return };
-        let new = work.done.insert(range);
-        debug_assert!(new, "an open lease never covers what is done");
-        work.stored += stored;
+        let Some(job) = self.jobs.get_mut(&open.lease.job) else { return };
+        let kind = job.work(open.phase).map(|w| Kind::of(w.phase));
+        if let (Some(w), Some(kind)) = (self.workers.get_mut(&worker), kind) {
+            w.measured((open.lease.job, kind), range.len(), busy);
+        }
+        job.completed(open.phase, range, stored);
         out.push(Command::Accept { job: open.lease.job, lease });
         self.advance(open.lease.job, out);
     }
@@ -177,10 +182,15 @@ impl Scheduler {
     /// Takes a job's due steps.
     fn advance(&mut self, id: JobId, out: &mut Vec<Command>) {
         while let Some(job) = self.jobs.get_mut(&id) {
-            match job.advance() {
+            match job.advance(self.now) {
                 Next::Nothing => return,
-                Next::Build(kind) => out.push(Command::BuildMap { job: id, kind }),
-                Next::Assemble => out.push(Command::Assemble { job: id }),
+                Next::Build(phase) => out.push(Command::Build { job: id, phase }),
+                Next::Retire(round) => out.push(Command::Retire { job: id, round }),
+                Next::Assemble(done) => {
+                    // What is out belongs to a round that a limit has cut off.
+                    self.revoke(id, out);
+                    out.push(Command::Assemble { job: id, done });
+                }
             }
         }
     }
@@ -217,8 +227,7 @@ impl Scheduler {
     /// The latest errors of a job's waiting tasks.
     fn errors_of(&self, job: JobId) -> String {
         let Some(job) = self.jobs.get(&job) else { return String::new() };
-        let works = job.emissions.iter().map(|e| &e.work).chain([&job.gather]);
-        let last = works.flat_map(|w| &w.retries).filter_map(|r| r.history.failures.last());
+        let last = job.steps().flat_map(|s| &s.work.retries).filter_map(|r| r.history.failures.last());
         last.take(3).map(|(w, e)| format!("worker {}: {e}", w.0)).collect::<Vec<_>>().join("; ")
     }
 
@@ -240,12 +249,11 @@ impl Scheduler {
         let (id, range, history) = (open.lease.job, open.lease.range, open.history);
         let hopeless = self.hopeless(open.phase, range, &history);
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        job.retried += 1;
-        if let Some(work) = job.work_mut(open.phase) {
-            work.retries.push(Retry { range, history, since: self.now });
-        }
-        if let Some(error) = hopeless {
-            self.end(id, Outcome::Failed(error), out);
+        job.take_back(open.phase, Retry { range, history, since: self.now });
+        match hopeless {
+            Some(error) => self.end(id, Outcome::Failed(error), out),
+            // The last lease of a phase that a limit has ended.
+            None => self.advance(id, out),
         }
     }
 
@@ -265,14 +273,7 @@ impl Scheduler {
             return;
         }
         self.turn.retain(|&j| j != job);
-        let open: Vec<LeaseId> = self.leases.values().filter(|l| l.lease.job == job).map(|l| l.lease.id).collect();
-        for lease in open {
-            let Some(gone) = self.leases.remove(&lease) else { continue };
-            if let Some(w) = self.workers.get_mut(&gone.worker) {
-                w.leases.remove(&lease);
-            }
-            out.push(Command::Revoke { worker: gone.worker, lease });
-        }
+        self.revoke(job, out);
         for (&worker, w) in &mut self.workers {
             if w.forget(job) {
                 out.push(Command::Forget { worker, job });
@@ -281,7 +282,19 @@ impl Scheduler {
         out.push(Command::Finish { job, outcome });
     }
 
-    /// Silent workers are dead, late leases are given up.
+    /// Takes back a job's open leases, which are not wanted any more.
+    fn revoke(&mut self, job: JobId, out: &mut Vec<Command>) {
+        let open: Vec<LeaseId> = self.leases.values().filter(|l| l.lease.job == job).map(|l| l.lease.id).collect();
+        for lease in open {
+            let Some(gone) = self.leases.remove(&lease) else { continue };
+            if let Some(w) = self.workers.get_mut(&gone.worker) {
+                w.leases.remove(&lease);
+            }
+            out.push(Command::Revoke { worker: gone.worker, lease });
+        }
+    }
+
+    /// Silent workers are dead, late leases are given up, and time limits are reached.
     fn tick(&mut self, now: Duration, out: &mut Vec<Command>) {
         let dead_after = self.policy.dead_after;
         let silent = |w: &Worker| now.saturating_sub(w.last_heard) > dead_after;
@@ -298,5 +311,7 @@ impl Scheduler {
             self.take_back(lease, |history| history.losses += 1, out);
         }
         self.fail_stuck(out);
+        let jobs: Vec<JobId> = self.jobs.keys().copied().collect();
+        jobs.into_iter().for_each(|job| self.advance(job, out));
     }
 }

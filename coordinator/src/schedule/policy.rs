@@ -24,6 +24,8 @@ pub struct Policy {
     pub dead_after: Duration,
     /// Shortest time a lease is given; doubled with every attempt.
     pub min_deadline: Duration,
+    /// The same for units of a splat phase while the worker's rate is unknown: one may be a whole round.
+    pub min_splat_deadline: Duration,
     /// A lease's time as a multiple of what it should take.
     pub deadline_factor: f64,
     /// Failures of one task, on different workers where there are others, after which its job fails.
@@ -51,6 +53,7 @@ impl Default for Policy {
             max_lease_photons: 1 << 21,
             dead_after: Duration::from_secs(10),
             min_deadline: Duration::from_secs(120),
+            min_splat_deadline: Duration::from_secs(1_800),
             deadline_factor: 20.0,
             max_failures: 3,
             max_losses: 10,
@@ -96,10 +99,14 @@ impl Policy {
         // No crumbs: a rest smaller than the smallest lease goes along.
         if s.remaining.saturating_sub(units) < min { s.remaining.max(1) } else { units }
     }
-    /// Time given to a lease of `units` on its `attempt`-th attempt.
-    pub fn lease_time(&self, units: u64, rate: Option<f64>, attempt: u32) -> Duration {
+    /// Time given to a lease of `units` of `phase` on its `attempt`-th attempt.
+    pub fn lease_time(&self, phase: Phase, units: u64, rate: Option<f64>, attempt: u32) -> Duration {
         let expected = rate.filter(|&r| r > 0.0).map_or(0.0, |r| units as f64 / r * self.deadline_factor);
-        let base = expected.clamp(self.min_deadline.as_secs_f64(), self.min_deadline.as_secs_f64() * 64.0);
+        let min = match (phase, rate) {
+            (Phase::Splat { .. }, None) => self.min_splat_deadline.max(self.min_deadline),
+            _ => self.min_deadline,
+        };
+        let base = expected.clamp(min.as_secs_f64(), min.as_secs_f64() * 64.0);
         Duration::from_secs_f64(base * f64::from(1u32 << attempt.saturating_sub(1).min(6)))
     }
 }
@@ -154,8 +161,20 @@ mod tests {
     #[test]
     fn deadlines_grow_with_attempts() {
         let p = Policy::default();
-        assert_eq!(p.lease_time(10, None, 1), p.min_deadline);
-        assert_eq!(p.lease_time(10, None, 3), p.min_deadline * 4);
-        assert_eq!(p.lease_time(100, Some(10.0), 1), Duration::from_secs(200));
+        assert_eq!(p.lease_time(GATHER, 10, None, 1), p.min_deadline);
+        assert_eq!(p.lease_time(GATHER, 10, None, 3), p.min_deadline * 4);
+        assert_eq!(p.lease_time(GATHER, 100, Some(10.0), 1), Duration::from_secs(200));
+    }
+
+    #[test]
+    fn units_of_a_splat_phase_are_heavy_and_bootstrap_paths_light() {
+        let p = Policy::default();
+        let splat = Phase::Splat { units: 1 << 20 };
+        assert_eq!(p.lease_units(splat, situation()), 4);
+        assert_eq!(p.lease_units(splat, Situation { rate: Some(0.01), ..situation() }), 1);
+        assert_eq!(p.lease_units(Phase::Bootstrap { paths: 1 << 20 }, situation()), p.probe_paths);
+        // A unit may take long, so nobody is given up before its first one is done; then its rate is known.
+        assert_eq!(p.lease_time(splat, 4, None, 1), p.min_splat_deadline);
+        assert_eq!(p.lease_time(splat, 4, Some(1.0), 1), p.min_deadline);
     }
 }

@@ -1,10 +1,12 @@
 //! Event lists in, command lists out.
 
+use super::job::Done;
 use super::*;
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{MapRef, Task};
-use gatherlight_render::job::Phase;
+use gatherlight_proto::message::{InputRef, MapRef, Task};
 use gatherlight_render::photon::MapKind;
+
+mod rounds;
 
 const JOB: JobId = JobId(7);
 const A: WorkerId = WorkerId(1);
@@ -39,7 +41,7 @@ impl Bench {
         let mut bench = Bench::new(policy);
         let emission = (paths > 0).then_some(Phase::Emission { round: 0, map: MapKind::Global, paths });
         let phases = emission.into_iter().chain([Phase::Gather { round: 0, tiles }]).collect();
-        assert_eq!(bench.event(Event::Submitted { job: JOB, phases }), []);
+        assert_eq!(bench.event(Event::Submitted { job: JOB, phases, limits: Limits::default() }), []);
         bench
     }
     fn event(&mut self, event: Event) -> Vec<Command> {
@@ -65,8 +67,8 @@ impl Bench {
         for _ in 0..300 {
             let open: Vec<_> = self.scheduler.leases().map(|l| (l.worker, l.lease.id.0)).collect();
             let said: Vec<_> = open.iter().flat_map(|&(w, l)| self.complete(w, l)).collect();
-            if said.iter().any(|c| matches!(c, Command::BuildMap { .. })) {
-                all.extend(self.event(Event::MapBuilt { job: JOB, map: GLOBAL }));
+            if said.iter().any(|c| matches!(c, Command::Build { .. })) {
+                all.extend(self.event(built(0, GLOBAL)));
             }
             if said.iter().any(|c| matches!(c, Command::Assemble { .. })) {
                 all.extend(self.event(Event::Assembled { job: JOB }));
@@ -81,10 +83,10 @@ fn lease(id: u64, attempt: u32, range: EmissionRange, task: Task) -> Lease {
     Lease { id: LeaseId(id), attempt, job: JOB, range, task }
 }
 fn emit(worker: WorkerId, id: u64, attempt: u32, range: EmissionRange) -> Command {
-    Command::Assign { worker, lease: lease(id, attempt, range, Task::Emission(MapKind::Global)) }
+    Command::Assign { worker, lease: lease(id, attempt, range, Task::Emission { round: 0, map: MapKind::Global }) }
 }
 fn gather(worker: WorkerId, id: u64, range: EmissionRange, maps: Vec<MapRef>) -> Command {
-    Command::Assign { worker, lease: lease(id, 1, range, Task::Gather(maps)) }
+    Command::Assign { worker, lease: lease(id, 1, range, Task::Gather { round: 0, maps }) }
 }
 fn prepare(worker: WorkerId) -> Command {
     Command::Prepare { worker, job: JOB }
@@ -95,6 +97,12 @@ fn accept(id: u64) -> Command {
 fn stale(id: u64) -> Command {
     Command::Discard { lease: LeaseId(id), reason: Discarded::Stale }
 }
+fn built(round: u32, map: MapRef) -> Event {
+    Event::Built { job: JOB, round, input: InputRef::Map(map) }
+}
+fn build(round: u32, map: MapKind, paths: u64) -> Command {
+    Command::Build { job: JOB, phase: Phase::Emission { round, map, paths } }
+}
 fn finish(outcome: Outcome) -> Command {
     Command::Finish { job: JOB, outcome }
 }
@@ -104,10 +112,13 @@ fn a_job_goes_through_its_phases() {
     let mut b = Bench::with_job(policy(), 20, 3);
     assert_eq!(b.join(A), [prepare(A), emit(A, 1, 1, range(0, 10))]);
     assert_eq!(b.complete(A, 1), [accept(1), emit(A, 2, 1, range(10, 20))]);
-    assert_eq!(b.complete(A, 2), [accept(2), Command::BuildMap { job: JOB, kind: MapKind::Global }]);
-    assert_eq!(b.event(Event::MapBuilt { job: JOB, map: GLOBAL }), [gather(A, 3, range(0, 2), vec![GLOBAL])]);
+    assert_eq!(b.complete(A, 2), [accept(2), build(0, MapKind::Global, 20)]);
+    assert_eq!(b.event(built(0, GLOBAL)), [gather(A, 3, range(0, 2), vec![GLOBAL])]);
     assert_eq!(b.complete(A, 3), [accept(3), gather(A, 4, range(2, 3), vec![GLOBAL])]);
-    assert_eq!(b.complete(A, 4), [accept(4), Command::Assemble { job: JOB }]);
+    assert_eq!(
+        b.complete(A, 4),
+        [accept(4), Command::Assemble { job: JOB, done: Done { rounds: 1, ..Done::default() } }]
+    );
     let end = [Command::Forget { worker: A, job: JOB }, finish(Outcome::Done)];
     assert_eq!(b.event(Event::Assembled { job: JOB }), end);
     assert!(b.scheduler.job(JOB).is_none());
@@ -124,8 +135,8 @@ fn a_map_without_paths_is_built_at_once() {
     let mut b = Bench::new(policy());
     let phases =
         vec![Phase::Emission { round: 0, map: MapKind::Global, paths: 0 }, Phase::Gather { round: 0, tiles: 1 }];
-    let build = Command::BuildMap { job: JOB, kind: MapKind::Global };
-    assert_eq!(b.event(Event::Submitted { job: JOB, phases }), [build]);
+    let build = build(0, MapKind::Global, 0);
+    assert_eq!(b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() }), [build]);
 }
 
 #[test]
@@ -133,16 +144,19 @@ fn the_next_map_is_traced_while_one_is_merged_and_tiles_wait_for_both() {
     let mut b = Bench::new(policy());
     let phase = |map| Phase::Emission { round: 0, map, paths: 10 };
     let phases = vec![phase(MapKind::Global), phase(MapKind::Caustic), Phase::Gather { round: 0, tiles: 1 }];
-    b.event(Event::Submitted { job: JOB, phases });
+    b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
     b.join(A);
-    let caustic = Command::Assign { worker: A, lease: lease(2, 1, range(0, 10), Task::Emission(MapKind::Caustic)) };
-    let build = |kind| Command::BuildMap { job: JOB, kind };
+    let caustic = Command::Assign {
+        worker: A,
+        lease: lease(2, 1, range(0, 10), Task::Emission { round: 0, map: MapKind::Caustic }),
+    };
+    let build = |kind| build(0, kind, 10);
     assert_eq!(b.complete(A, 1), [accept(1), build(MapKind::Global), caustic]);
     assert_eq!(b.complete(A, 2), [accept(2), build(MapKind::Caustic)]);
     let caustic = MapRef { kind: MapKind::Caustic, ..GLOBAL };
-    assert_eq!(b.event(Event::MapBuilt { job: JOB, map: caustic }), []);
+    assert_eq!(b.event(built(0, caustic)), []);
     let tiles = gather(A, 3, range(0, 1), vec![GLOBAL, caustic]);
-    assert_eq!(b.event(Event::MapBuilt { job: JOB, map: GLOBAL }), [tiles]);
+    assert_eq!(b.event(built(0, GLOBAL)), [tiles]);
 }
 
 #[test]
@@ -150,7 +164,7 @@ fn phases_that_make_no_job_fail_it() {
     let gather = Phase::Gather { round: 0, tiles: 1 };
     let emission = Phase::Emission { round: 0, map: MapKind::Global, paths: 1 };
     for phases in [vec![], vec![emission], vec![gather, gather], vec![emission, emission, gather]] {
-        let said = Bench::new(policy()).event(Event::Submitted { job: JOB, phases });
+        let said = Bench::new(policy()).event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
         assert!(matches!(said[..], [Command::Finish { outcome: Outcome::Failed(_), .. }]), "{said:?}");
     }
 }
@@ -223,7 +237,7 @@ fn a_result_counts_once() {
     let (lease, busy) = (LeaseId(1), Duration::ZERO);
     let again = Event::Completed { worker: A, lease, attempt: 1, range: range(0, 10), busy, stored: 1 };
     assert_eq!(b.event(again), [stale(1)]);
-    assert_eq!(b.scheduler.job(JOB).map(|j| j.emissions[0].work.done.units()), Some(10));
+    assert_eq!(b.scheduler.job(JOB).map(|j| j.total(Kind::Emission(MapKind::Global)).units), Some(10));
 }
 
 #[test]
@@ -352,7 +366,7 @@ fn cancelling_revokes_forgets_and_ends() {
     let (lease, busy) = (LeaseId(1), Duration::ZERO);
     let late = Event::Completed { worker: A, lease, attempt: 1, range: range(0, 10), busy, stored: 1 };
     assert_eq!(b.event(late), [stale(1)]);
-    assert_eq!(b.event(Event::MapBuilt { job: JOB, map: GLOBAL }), []);
+    assert_eq!(b.event(built(0, GLOBAL)), []);
 }
 
 #[test]
@@ -369,7 +383,8 @@ fn several_jobs_take_turns() {
     let mut b = Bench::new(policy());
     let jobs = [JobId(1), JobId(2)];
     for job in jobs {
-        b.event(Event::Submitted { job, phases: vec![Phase::Gather { round: 0, tiles: 100 }] });
+        let phases = vec![Phase::Gather { round: 0, tiles: 100 }];
+        b.event(Event::Submitted { job, phases, limits: Limits::default() });
     }
     b.join(A);
     let mut got = Vec::new();
@@ -385,7 +400,8 @@ fn every_worker_gets_one_lease_before_any_gets_two() {
     let mut b = Bench::new(Policy { leases_per_worker: 2, ..policy() });
     b.join(A);
     b.join(B);
-    let said = b.event(Event::Submitted { job: JOB, phases: vec![Phase::Gather { round: 0, tiles: 8 }] });
+    let phases = vec![Phase::Gather { round: 0, tiles: 8 }];
+    let said = b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
     let order: Vec<_> =
         said.iter().filter_map(|c| if let Command::Assign { worker, .. } = c { Some(*worker) } else { None }).collect();
     assert_eq!(order, [A, B, A, B]);

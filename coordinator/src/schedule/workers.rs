@@ -1,5 +1,6 @@
 //! The workers that are there.
 
+use super::work::Kind;
 use core::time::Duration;
 use gatherlight_proto::message::{LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
@@ -10,8 +11,8 @@ const RATE_WEIGHT: f64 = 0.5;
 /// Shortest computing time believed of a result; keeps rates finite.
 const MIN_BUSY_SECONDS: f64 = 1e-4;
 
-/// One phase of one job.
-pub type PhaseKey = (JobId, usize);
+/// One kind of phase of one job: rounds after the first begin with the rates of the one before.
+pub type PhaseKey = (JobId, Kind);
 
 /// A worker with an open session.
 #[derive(Clone, Debug)]
@@ -26,7 +27,7 @@ pub struct Worker {
     pub leases: BTreeSet<LeaseId>,
     /// Jobs it knows.
     pub prepared: BTreeSet<JobId>,
-    /// Units per second, by phase.
+    /// Units per second, by kind of phase.
     rates: BTreeMap<PhaseKey, f64>,
     /// Tasks it failed, by job: phase and first index.
     failed: BTreeMap<JobId, BTreeSet<(usize, u64)>>,

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
 use gatherlight_proto::limits::MAX_RESULT_BYTES;
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Task, WorkerId};
-use gatherlight_proto::payload::{photons, tiles};
+use gatherlight_proto::payload::{bootstrap, gather, light, photons};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{Chunk, CoordinatorMessage, DeliverRequest, FetchRequest, Receipt, WorkerMessage};
@@ -56,7 +56,7 @@ impl Cluster for ClusterService {
         let stream = match source {
             None => return Err(Status::not_found(format!("{digest} belongs to no running job of this session"))),
             Some(Source::Blob(digest)) => stored_chunks(self.context.store.clone(), digest)?,
-            Some(Source::Map { bytes, sent }) => memory_chunks(bytes, digest, move |n| {
+            Some(Source::Memory { bytes, sent }) => memory_chunks(bytes, digest, move |n| {
                 sent.fetch_add(n, Ordering::Relaxed);
             }),
         };
@@ -99,15 +99,29 @@ impl ClusterService {
     async fn decode(&self, ticket: &Ticket, bytes: Bytes) -> Result<Delivery, Status> {
         let (ticket, length) = (ticket.clone(), bytes.len() as u64);
         let decode = move || {
-            let payload = match &ticket.task {
-                Task::Emission(_) => Payload::Photons(photons::decode_batch(&bytes, ticket.range, ticket.directions)?),
-                Task::Gather(_) => Payload::Tiles(tiles::decode(&bytes, ticket.range, ticket.grid, ticket.channels)?),
-            };
+            let payload = read(&ticket, &bytes)?;
             Ok::<_, WireError>(Delivery { ticket, payload, bytes: length })
         };
         let decoded = self.context.compute.run(decode).await;
         Ok(decoded.map_err(|e| Status::internal(e.to_string()))??)
     }
+}
+
+/// The result that `ticket` is for.
+fn read(ticket: &Ticket, bytes: &[u8]) -> Result<Payload, WireError> {
+    let (range, empty) = (ticket.range, ticket.light.as_deref());
+    Ok(match &ticket.task {
+        Task::Emission { .. } => Payload::Photons(photons::decode_batch(bytes, range, ticket.directions)?),
+        Task::Bootstrap => Payload::Luminances(range.first, bootstrap::decode(bytes, range)?),
+        Task::Splat { .. } => {
+            let empty = empty.ok_or_else(|| WireError::payload("light image", "is of a method that has none"))?;
+            Payload::Light(light::decode(bytes, empty)?)
+        }
+        Task::Gather { .. } => {
+            let (tiles, light) = gather::decode(bytes, range, ticket.grid, &ticket.channels, empty)?;
+            Payload::Tiles(tiles, light)
+        }
+    })
 }
 
 fn is_broken_connection(status: &Status) -> bool {

@@ -4,7 +4,7 @@ use super::{Context, ReplyStream, stored_chunks};
 use crate::driver::{NoImage, SubmitError};
 use crate::intake::{self, IntakeError, Submission};
 use crate::store::StoreError;
-use crate::types::{JobId, JobProgress};
+use crate::types::{JobId, JobProgress, Limits};
 use gatherlight_proto::WireError;
 use gatherlight_proto::error::truncated;
 use gatherlight_proto::limits::{MAX_EXTERNALS, MAX_NAME_BYTES, PROTOCOL_VERSION};
@@ -61,6 +61,7 @@ impl From<IntakeError> for Status {
             IntakeError::Job(_) => Status::invalid_argument(text),
             IntakeError::Blob(_) => Status::failed_precondition(text),
             IntakeError::Driver(SubmitError::Full(_) | SubmitError::Memory { .. }) => Status::resource_exhausted(text),
+            IntakeError::Driver(SubmitError::Limits(_)) => Status::invalid_argument(text),
             IntakeError::Driver(SubmitError::Closed) => Status::unavailable(text),
             IntakeError::Internal(_) => Status::internal(text),
         }
@@ -110,6 +111,7 @@ impl Jobs for JobsService {
                 .map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?,
             manifest: SceneManifest::try_from(request.scene.ok_or(WireError::Missing("scene"))?)?,
             settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
+            limits: request.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
         };
         let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
         let Context { driver, compute, store } = &self.context;

@@ -3,8 +3,8 @@
 use super::{map_kind, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
-use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES};
-use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats, WorkerInfo};
+use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
+use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, WorkerInfo};
 use crate::wire;
 use gatherlight_render::photon::MapKind;
 use std::time::Duration;
@@ -26,6 +26,8 @@ fn state_fields(state: &JobState) -> (wire::JobState, wire::MapKind, String) {
         JobState::Emission(map) => (W::Emission, (*map).into(), String::new()),
         JobState::Merge(map) => (W::Merge, (*map).into(), String::new()),
         JobState::Broadcast => (W::Broadcast, none, String::new()),
+        JobState::Bootstrap => (W::Bootstrap, none, String::new()),
+        JobState::Splat => (W::Splat, none, String::new()),
         JobState::Gather => (W::Gather, none, String::new()),
         JobState::Assemble => (W::Assemble, none, String::new()),
         JobState::Done => (W::Done, none, String::new()),
@@ -41,6 +43,8 @@ fn state(job: &wire::Job) -> Result<JobState, WireError> {
         Ok(W::Emission) => JobState::Emission(map_kind(job.map)?),
         Ok(W::Merge) => JobState::Merge(map_kind(job.map)?),
         Ok(W::Broadcast) => JobState::Broadcast,
+        Ok(W::Bootstrap) => JobState::Bootstrap,
+        Ok(W::Splat) => JobState::Splat,
         Ok(W::Gather) => JobState::Gather,
         Ok(W::Assemble) => JobState::Assemble,
         Ok(W::Done) => JobState::Done,
@@ -69,6 +73,8 @@ impl From<&JobProgress> for wire::Job {
             workers: p.workers,
             stats: Some((&p.stats).into()),
             result_digest: p.result_digest.map(Digest::to_bytes).unwrap_or_default(),
+            round: p.round,
+            rounds: p.rounds,
         }
     }
 }
@@ -96,6 +102,8 @@ impl TryFrom<wire::Job> for JobProgress {
             workers: j.workers,
             stats: required("job.stats", j.stats)?.try_into()?,
             result_digest,
+            round: j.round,
+            rounds: j.rounds,
         })
     }
 }
@@ -119,6 +127,13 @@ impl From<&JobStats> for wire::JobStats {
             retried_leases: s.retried_leases,
             result_bytes: s.result_bytes,
             broadcast_bytes: s.broadcast_bytes,
+            rounds_done: s.rounds_done,
+            units_done: s.units_done,
+            ended_by: match s.ended_by {
+                None => wire::Limit::Unspecified,
+                Some(Limit::Time) => wire::Limit::Time,
+            }
+            .into(),
         }
     }
 }
@@ -147,7 +162,32 @@ impl TryFrom<wire::JobStats> for JobStats {
             retried_leases: s.retried_leases,
             result_bytes: s.result_bytes,
             broadcast_bytes: s.broadcast_bytes,
+            rounds_done: s.rounds_done,
+            units_done: s.units_done,
+            ended_by: match wire::Limit::try_from(s.ended_by) {
+                Ok(wire::Limit::Unspecified) => None,
+                Ok(wire::Limit::Time) => Some(Limit::Time),
+                Err(_) => return Err(WireError::invalid("stats.ended_by", format!("{} is unknown here", s.ended_by))),
+            },
         })
+    }
+}
+
+impl From<Limits> for wire::Limits {
+    fn from(l: Limits) -> Self {
+        wire::Limits { time_ms: l.time.map(millis) }
+    }
+}
+
+impl TryFrom<wire::Limits> for Limits {
+    type Error = WireError;
+    fn try_from(l: wire::Limits) -> Result<Self, WireError> {
+        let time = l.time_ms.map(Duration::from_millis);
+        if time.is_some_and(|t| t.is_zero() || t > MAX_TIME_LIMIT) {
+            let most = MAX_TIME_LIMIT.as_millis();
+            return Err(WireError::invalid("limits.time_ms", format!("has to be 1 … {most} (MAX_TIME_LIMIT)")));
+        }
+        Ok(Limits { time })
     }
 }
 

@@ -4,10 +4,11 @@ use super::{map_kind, name, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
 use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_THREADS};
-use crate::message::{DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, Task, ToWorker, WorkerId};
+use crate::message::{BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, Task, ToWorker, WorkerId};
 use crate::types::JobId;
 use crate::wire;
 use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::settings::MAX_ROUNDS;
 use std::time::Duration;
 
 fn range(first: u64, end: u64) -> Result<EmissionRange, WireError> {
@@ -74,14 +75,30 @@ impl TryFrom<wire::MapRef> for MapRef {
     }
 }
 
+fn round(round: u32) -> Result<u32, WireError> {
+    if round < MAX_ROUNDS {
+        return Ok(round);
+    }
+    Err(WireError::invalid("round", format!("{round} is outside 0 … {} (MAX_ROUNDS)", MAX_ROUNDS - 1)))
+}
+
+fn bootstrap(b: wire::Blob) -> Result<BlobRef, WireError> {
+    WireError::check_limit("bootstrap size in bytes", b.bytes, MAX_MAP_BYTES, "MAX_MAP_BYTES")?;
+    Ok(BlobRef { digest: Digest::try_from(&b.digest[..])?, bytes: b.bytes })
+}
+
 impl From<Lease> for wire::Lease {
     fn from(l: Lease) -> Self {
         let task = match l.task {
-            Task::Emission(map) => {
-                wire::lease::Task::Emission(wire::EmissionTask { map: wire::MapKind::from(map).into() })
+            Task::Emission { round, map } => {
+                wire::lease::Task::Emission(wire::EmissionTask { map: wire::MapKind::from(map).into(), round })
             }
-            Task::Gather(maps) => {
-                wire::lease::Task::Gather(wire::GatherTask { maps: maps.into_iter().map(Into::into).collect() })
+            Task::Bootstrap => wire::lease::Task::Bootstrap(wire::BootstrapTask {}),
+            Task::Splat { bootstrap } => {
+                wire::lease::Task::Splat(wire::SplatTask { bootstrap: bootstrap.map(Into::into) })
+            }
+            Task::Gather { round, maps } => {
+                wire::lease::Task::Gather(wire::GatherTask { maps: maps.into_iter().map(Into::into).collect(), round })
             }
         };
         wire::Lease {
@@ -99,11 +116,14 @@ impl TryFrom<wire::Lease> for Lease {
     type Error = WireError;
     fn try_from(l: wire::Lease) -> Result<Self, WireError> {
         let task = match required("lease.task", l.task)? {
-            wire::lease::Task::Emission(t) => Task::Emission(map_kind(t.map)?),
+            wire::lease::Task::Emission(t) => Task::Emission { round: round(t.round)?, map: map_kind(t.map)? },
+            wire::lease::Task::Bootstrap(_) => Task::Bootstrap,
+            wire::lease::Task::Splat(t) => Task::Splat { bootstrap: t.bootstrap.map(bootstrap).transpose()? },
             wire::lease::Task::Gather(t) => {
                 let limit = MapKind::ALL.len() as u64;
                 WireError::check_limit("maps of a lease", t.maps.len() as u64, limit, "number of map kinds")?;
-                Task::Gather(t.maps.into_iter().map(MapRef::try_from).collect::<Result<_, _>>()?)
+                let maps = t.maps.into_iter().map(MapRef::try_from).collect::<Result<_, _>>()?;
+                Task::Gather { round: round(t.round)?, maps }
             }
         };
         let range = range(l.first, l.end)?;

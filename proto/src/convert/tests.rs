@@ -4,7 +4,7 @@ use crate::digest::Digest;
 use crate::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, SceneManifest, Task, ToWorker,
 };
-use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
+use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats};
 use crate::wire;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Merge, Method, RenderSettings};
@@ -108,8 +108,11 @@ fn messages_between_coordinator_and_worker_survive() {
     let map = MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 };
     let to = [
         ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) },
-        ToWorker::Lease(lease(Task::Emission(MapKind::Global))),
-        ToWorker::Lease(lease(Task::Gather(vec![map]))),
+        ToWorker::Lease(lease(Task::Emission { round: 65_535, map: MapKind::Global })),
+        ToWorker::Lease(lease(Task::Gather { round: 3, maps: vec![map] })),
+        ToWorker::Lease(lease(Task::Bootstrap)),
+        ToWorker::Lease(lease(Task::Splat { bootstrap: None })),
+        ToWorker::Lease(lease(Task::Splat { bootstrap: Some(blob(4)) })),
         ToWorker::Revoke(LeaseId(7)),
         ToWorker::Forget(JobId(9)),
     ];
@@ -146,6 +149,16 @@ fn empty_and_senseless_messages_are_refused() {
     let hello = wire::WorkerMessage { kind: Some(wire::worker_message::Kind::Hello(hello)) };
     assert!(FromWorker::try_from(hello).is_err());
     assert!(Lease::try_from(wire::Lease::default()).is_err());
+    let task = |task| Lease::try_from(wire::Lease { task: Some(task), ..Default::default() });
+    let emission = |round| wire::lease::Task::Emission(wire::EmissionTask { map: 1, round });
+    assert!(task(emission(65_535)).is_ok() && task(emission(65_536)).is_err());
+    let gather = |round| wire::lease::Task::Gather(wire::GatherTask { maps: Vec::new(), round });
+    assert!(task(gather(65_535)).is_ok() && task(gather(65_536)).is_err());
+    let splat = |digest, bytes| {
+        let bootstrap = Some(wire::Blob { digest: vec![0; digest].into(), bytes });
+        task(wire::lease::Task::Splat(wire::SplatTask { bootstrap }))
+    };
+    assert!(splat(32, 8).is_ok() && splat(31, 8).is_err() && splat(32, u64::MAX).is_err());
 }
 
 #[test]
@@ -160,12 +173,23 @@ fn long_errors_are_cut() {
 #[test]
 fn job_snapshots_survive() {
     let map = MapStats { kind: MapKind::Global, emitted_count: 1, emitted_total: 2, stored_count: 3, bytes: 4 };
-    let stats = JobStats { maps: vec![map], rays: 5, gather_radius: Some(0.5), k: 6, ..JobStats::default() };
+    let stats = JobStats {
+        maps: vec![map],
+        rays: 5,
+        gather_radius: Some(0.5),
+        k: 6,
+        rounds_done: 7,
+        units_done: 8,
+        ended_by: Some(Limit::Time),
+        ..JobStats::default()
+    };
     let states = [
         JobState::Waiting,
         JobState::Emission(MapKind::Caustic),
         JobState::Merge(MapKind::Global),
         JobState::Broadcast,
+        JobState::Bootstrap,
+        JobState::Splat,
         JobState::Gather,
         JobState::Assemble,
         JobState::Done,
@@ -185,8 +209,20 @@ fn job_snapshots_survive() {
             workers: 6,
             stats: stats.clone(),
             result_digest: Some(Digest([8; 32])),
+            round: 9,
+            rounds: 10,
         };
         assert_eq!(JobProgress::try_from(wire::Job::from(&p)), Ok(p));
+    }
+}
+
+#[test]
+fn limits_survive_and_senseless_ones_are_refused() {
+    for time in [None, Some(Duration::from_millis(1)), Some(Duration::from_secs(86_400))] {
+        assert_eq!(Limits::try_from(wire::Limits::from(Limits { time })), Ok(Limits { time }));
+    }
+    for bad in [0, u64::MAX] {
+        assert!(Limits::try_from(wire::Limits { time_ms: Some(bad) }).is_err());
     }
 }
 
@@ -201,7 +237,10 @@ fn noise_never_panics() {
         attempt: 2,
         job: JobId(9),
         range: EmissionRange { first: 3, end: 9 },
-        task: Task::Gather(vec![MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 }]),
+        task: Task::Gather {
+            round: 1,
+            maps: vec![MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 }],
+        },
     };
     let prepare = ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) };
     let good: Vec<Vec<u8>> = vec![

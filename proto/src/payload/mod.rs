@@ -1,9 +1,12 @@
-//! Photon batches, maps and tiles as bytes: little-endian, versioned, bounded before anything is allocated.
+//! Photon batches, maps, bootstraps, tiles and light images as bytes: little-endian, versioned, bounded before anything is allocated.
 
+pub mod bootstrap;
 mod columns;
 #[cfg(test)]
 mod fuzz;
+pub mod gather;
 mod header;
+pub mod light;
 pub mod map;
 pub mod photons;
 pub mod tiles;

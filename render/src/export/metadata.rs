@@ -33,8 +33,12 @@ pub struct ImageMetadata {
     pub maps: Vec<MapMetadata>,
     /// Lines of the plan: what was computed and what was left out, with the reason; may be empty.
     pub plan: Vec<String>,
-    /// Samples left out because they were not finite.
+    /// Samples and splats left out because they were not finite.
     pub non_finite: u64,
+    /// Rounds the image is the mean of, where the method has rounds.
+    pub rounds: Option<u32>,
+    /// Units of the splat phase it is the mean of, where the method has one: Markov chains, or whole rounds.
+    pub units: Option<u64>,
 }
 
 impl ImageMetadata {
@@ -49,6 +53,8 @@ impl ImageMetadata {
             ("settings".into(), settings_text(s)),
             ("non_finite".into(), self.non_finite.to_string()),
         ];
+        list.extend(self.rounds.map(|n| ("rounds".into(), n.to_string())));
+        list.extend(self.units.map(|n| ("units".into(), n.to_string())));
         if !self.plan.is_empty() {
             list.push(("plan".into(), self.plan.join("\n")));
         }

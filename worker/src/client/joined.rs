@@ -11,6 +11,7 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::connect::reason;
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, Task, ToWorker};
+use gatherlight_render::job::{Inputs, PhotonMaps};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -41,8 +42,8 @@ pub(super) struct Life {
     config: WorkerConfig,
     executor: Executor,
     cache: Arc<Mutex<Cache>>,
-    /// Emission and gather tasks begun, for tests that kill by number.
-    begun: [u64; 2],
+    /// Emission, bootstrap, splat and gather tasks begun, for tests that kill by number.
+    begun: [u64; 4],
 }
 
 /// One session's moving parts.
@@ -57,7 +58,7 @@ struct Joined {
 impl Life {
     pub(super) fn new(config: WorkerConfig, executor: Executor) -> Self {
         let cache = Arc::new(Mutex::new(Cache::new(config.memory_bytes, config.shared.clone())));
-        Life { config, executor, cache, begun: [0; 2] }
+        Life { config, executor, cache, begun: [0; 4] }
     }
 
     /// Connects, joins and works until the session ends.
@@ -172,8 +173,10 @@ impl Life {
     fn dies_at(&mut self, lease: &Lease) -> bool {
         let faults = &self.config.faults;
         let (kind, limit) = match lease.task {
-            Task::Emission(_) => (0, faults.die_at_emission),
-            Task::Gather(_) => (1, faults.die_at_gather),
+            Task::Emission { .. } => (0, faults.die_at_emission),
+            Task::Bootstrap => (1, faults.die_at_bootstrap),
+            Task::Splat { .. } => (2, faults.die_at_splat),
+            Task::Gather { .. } => (3, faults.die_at_gather),
         };
         let number = self.begun[kind];
         self.begun[kind] += 1;
@@ -249,15 +252,28 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
     let prepared = held.prepared(lease.job, job, remote, executor).await?;
     let range = lease.range;
     match &lease.task {
-        Task::Emission(map) => {
+        &Task::Emission { round, map } => {
             drop(held);
-            let map = *map;
-            executor.run(move || emission::compute(&prepared, map, range)).await
+            executor.run(move || emission::compute(&prepared, round, map, range)).await
         }
-        Task::Gather(wanted) => {
+        Task::Bootstrap => {
+            drop(held);
+            executor.run(move || emission::compute_bootstrap(&prepared, range)).await
+        }
+        &Task::Splat { bootstrap } => {
+            let bootstrap = match bootstrap {
+                Some(wanted) => Some(held.bootstrap(lease.job, wanted, &prepared, remote, executor).await?),
+                None => None,
+            };
+            drop(held);
+            let inputs = Inputs { maps: PhotonMaps::default(), bootstrap };
+            executor.run(move || gather::compute_splat(&prepared, &inputs, range)).await?
+        }
+        Task::Gather { round, maps: wanted } => {
             let maps = held.maps(lease.job, wanted, remote, executor).await?;
             drop(held);
-            executor.run(move || gather::compute(&prepared, &maps, range)).await
+            let (inputs, round) = (Inputs { maps, bootstrap: None }, *round);
+            executor.run(move || gather::compute(&prepared, &inputs, round, range)).await
         }
     }
 }

@@ -1,0 +1,210 @@
+//! Everything heavy of a job that has not ended: results being joined, and what workers read.
+
+use super::Sink;
+use super::handle::{Built, Made, Payload, Source};
+use super::job::Spec;
+use crate::assemble::Parts;
+use crate::reduce::LightSum;
+use crate::schedule::job::Done;
+use crate::types::JobStats;
+use bytes::Bytes;
+use gatherlight_proto::Digest;
+use gatherlight_proto::message::InputRef;
+use gatherlight_render::film::{Accumulator, ChannelSet, LightImage, Tile, TileGrid};
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Phase, PreparedJob};
+use gatherlight_render::photon::merge::Merger;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Something that workers may fetch.
+struct Served {
+    round: u32,
+    digest: Digest,
+    bytes: Bytes,
+    sent: Arc<AtomicU64>,
+    /// A bootstrap is read in all rounds.
+    retires: bool,
+}
+
+/// The light image and its sum so far.
+struct LightParts {
+    empty: Arc<LightImage>,
+    sum: Arc<LightSum>,
+}
+
+/// See the module.
+pub(super) struct Live {
+    prepared: Arc<PreparedJob>,
+    grid: TileGrid,
+    channels: ChannelSet,
+    rounds: u32,
+    /// Photons by round and map, from the first result to the building of the map.
+    mergers: BTreeMap<(u32, MapKind), Merger>,
+    /// Luminances by first bootstrap path, until they are joined.
+    luminances: BTreeMap<u64, Vec<f32>>,
+    bootstrap: Option<Arc<Bootstrap>>,
+    /// There once the first tile is.
+    film: Option<Accumulator>,
+    light: Option<LightParts>,
+    served: Vec<Served>,
+    /// Bytes sent of what is not served any more.
+    retired_bytes: u64,
+    blobs: BTreeSet<Digest>,
+    sink: Option<Arc<dyn Sink>>,
+}
+
+impl Live {
+    pub(super) fn new(spec: &Spec, sink: Option<Arc<dyn Sink>>) -> Self {
+        let prepared = spec.prepared.clone();
+        let light = prepared
+            .light_image()
+            .map(|empty| LightParts { sum: Arc::new(LightSum::new(empty.clone())), empty: Arc::new(empty) });
+        Live {
+            grid: prepared.grid(),
+            channels: prepared.channels(),
+            rounds: prepared.rounds(),
+            mergers: BTreeMap::new(),
+            luminances: BTreeMap::new(),
+            bootstrap: None,
+            film: None,
+            light,
+            served: Vec::new(),
+            retired_bytes: 0,
+            blobs: spec.manifest.blobs().iter().map(|b| b.digest).collect(),
+            sink,
+            prepared,
+        }
+    }
+    /// The job's light image, empty, where it has one.
+    pub(super) fn empty_light(&self) -> Option<Arc<LightImage>> {
+        self.light.as_ref().map(|l| l.empty.clone())
+    }
+    /// The sum of its light images, where it has one.
+    pub(super) fn light_sum(&self) -> Option<Arc<LightSum>> {
+        self.light.as_ref().map(|l| l.sum.clone())
+    }
+    /// Where this digest is, if it is something of this job that workers read.
+    pub(super) fn source(&self, digest: Digest) -> Option<Source> {
+        let served = self.served.iter().find(|s| s.digest == digest);
+        let memory = served.map(|s| Source::Memory { bytes: s.bytes.clone(), sent: s.sent.clone() });
+        memory.or_else(|| self.blobs.contains(&digest).then_some(Source::Blob(digest)))
+    }
+    /// Bytes of maps and bootstraps sent so far.
+    pub(super) fn sent_bytes(&self) -> u64 {
+        self.retired_bytes + self.served.iter().map(Served::sent).sum::<u64>()
+    }
+    /// Those of one round's maps.
+    pub(super) fn sent_bytes_of(&self, round: u32) -> u64 {
+        self.served.iter().filter(|s| s.retires && s.round == round).map(Served::sent).sum()
+    }
+
+    /// Takes in a result that counts.
+    pub(super) fn put_to_use(&mut self, payload: Payload, phase: Phase, stats: &mut JobStats) -> Result<(), String> {
+        match (payload, phase) {
+            (Payload::Photons(batch), Phase::Emission { round, map, paths }) => {
+                let merger = self.mergers.entry((round, map)).or_insert_with(|| new_merger(map, paths));
+                merger.insert(batch).map_err(|e| e.to_string())
+            }
+            (Payload::Luminances(first, part), Phase::Bootstrap { .. }) => {
+                self.luminances.insert(first, part);
+                Ok(())
+            }
+            (Payload::Light(light), Phase::Splat { .. }) => self.add_light(light, stats),
+            (Payload::Tiles(tiles, light), Phase::Gather { round, .. }) => {
+                self.add_tiles(round, &tiles, stats)?;
+                light.map_or(Ok(()), |light| self.add_light(light, stats))
+            }
+            _ => Err("a result is of another kind than its task".into()),
+        }
+    }
+    fn add_tiles(&mut self, round: u32, tiles: &[Tile], stats: &mut JobStats) -> Result<(), String> {
+        let (grid, channels, rounds) = (self.grid, &self.channels, self.rounds);
+        let film = self.film.get_or_insert_with(|| Accumulator::new(grid, channels.clone(), rounds));
+        for tile in tiles {
+            film.insert(round, tile).map_err(|e| e.to_string())?;
+            stats.rays = stats.rays.saturating_add(tile.rays);
+            stats.non_finite = stats.non_finite.saturating_add(tile.non_finite);
+        }
+        Ok(())
+    }
+    fn add_light(&mut self, light: LightImage, stats: &mut JobStats) -> Result<(), String> {
+        let parts = self.light.as_ref().ok_or("the method has no light image")?;
+        stats.rays = stats.rays.saturating_add(light.rays());
+        stats.non_finite = stats.non_finite.saturating_add(light.non_finite());
+        parts.sum.put(light);
+        Ok(())
+    }
+
+    /// What the map of a round is built from.
+    pub(super) fn take_photons(&mut self, round: u32, kind: MapKind, paths: u64) -> (Merger, Arc<PreparedJob>) {
+        let merger = self.mergers.remove(&(round, kind)).unwrap_or_else(|| new_merger(kind, paths));
+        (merger, self.prepared.clone())
+    }
+    /// What the bootstrap is built from.
+    pub(super) fn take_luminances(&mut self) -> BTreeMap<u64, Vec<f32>> {
+        std::mem::take(&mut self.luminances)
+    }
+    /// Where workers in this process find what they read.
+    pub(super) fn sink(&self) -> Option<Arc<dyn Sink>> {
+        self.sink.clone()
+    }
+    /// Lets workers fetch what was made of a phase of `round`.
+    pub(super) fn serve(&mut self, round: u32, built: Built) {
+        let Built { input, bytes, made } = built;
+        let (digest, retires) = match input {
+            InputRef::Map(map) => (map.digest, true),
+            InputRef::Bootstrap(blob) => (blob.digest, false),
+        };
+        if let Made::Bootstrap(bootstrap) = made {
+            self.bootstrap = Some(bootstrap);
+        }
+        self.served.push(Served { round, digest, bytes, sent: Arc::default(), retires });
+    }
+    /// Drops the maps of `round`.
+    pub(super) fn retire(&mut self, round: u32) {
+        let sink = self.sink.clone();
+        let retired = self.served.extract_if(.., |s| s.retires && s.round == round);
+        for served in retired {
+            self.retired_bytes += served.sent();
+            if let Some(sink) = &sink {
+                sink.withdraw(served.digest);
+            }
+        }
+    }
+    /// What the image is made of.
+    pub(super) fn parts(&mut self, done: Done) -> Parts {
+        // Of a round that a limit has cut off.
+        self.mergers.clear();
+        let (grid, rounds) = (self.grid, self.rounds);
+        let film = self.film.take().unwrap_or_else(|| Accumulator::new(grid, self.channels.clone(), rounds));
+        Parts {
+            prepared: self.prepared.clone(),
+            film,
+            rounds: done.rounds,
+            light: self.light.take().map(|l| l.sum),
+            units: done.units,
+            bootstrap: self.bootstrap.clone(),
+        }
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        if let Some(sink) = &self.sink {
+            self.served.iter().for_each(|s| sink.withdraw(s.digest));
+        }
+    }
+}
+
+impl Served {
+    fn sent(&self) -> u64 {
+        self.sent.load(Ordering::Relaxed)
+    }
+}
+
+fn new_merger(kind: MapKind, paths: u64) -> Merger {
+    Merger::new(kind, EmissionRange { first: 0, end: paths })
+}

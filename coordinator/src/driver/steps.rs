@@ -1,0 +1,121 @@
+//! The coordinator's own part of a job: joining results, serving what workers read, putting the image together. What
+//! computes runs on the compute threads and reports back.
+
+use super::Driver;
+use super::handle::{Built, Handle, Image, Input, Made, Source};
+use crate::compute::Panicked;
+use crate::schedule::Event;
+use crate::schedule::job::Done;
+use crate::types::JobId;
+use crate::{assemble, merge};
+use gatherlight_proto::Digest;
+use gatherlight_proto::message::InputRef;
+use gatherlight_render::job::Phase;
+use tokio::sync::mpsc;
+
+impl Driver {
+    /// Joins the results of an emission or bootstrap phase.
+    pub(super) fn build(&mut self, id: JobId, phase: Phase) {
+        let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
+        let (own, sink) = (self.own.clone(), live.sink());
+        let built = move |result| report(&own, Input::Built(id, phase.round(), flat(result)));
+        match phase {
+            Phase::Emission { round, map, paths } => {
+                let (merger, prepared) = live.take_photons(round, map, paths);
+                self.compute.spawn(move || merge::build_map(map, merger, &prepared, sink.as_deref()), built);
+            }
+            Phase::Bootstrap { paths } => {
+                let luminances = live.take_luminances();
+                self.compute.spawn(move || merge::build_bootstrap(paths, luminances, sink.as_deref()), built);
+            }
+            Phase::Splat { .. } | Phase::Gather { .. } => {}
+        }
+        self.refresh(id);
+    }
+
+    /// Serves what was made of a phase of `round`.
+    pub(super) fn built(&mut self, id: JobId, round: u32, built: Result<Built, String>) {
+        let built = match built {
+            Ok(built) => built,
+            Err(error) => return self.event(Event::StepFailed { job: id, error }),
+        };
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let input = built.input;
+        if let (InputRef::Map(map), Made::Map { gather_radius }) = (input, &built.made) {
+            let radius = job.about.gather_radii.entry(map.kind).or_insert(0.0);
+            *radius = radius.max(*gather_radius);
+            job.stats.gather_radius = job.about.gather_radii.values().copied().reduce(f32::max);
+            if let Some(stats) = job.map_stats(map.kind) {
+                stats.bytes += map.bytes;
+            }
+        }
+        let Some(live) = job.live.as_mut() else { return };
+        live.serve(round, built);
+        tracing::info!(job = %id, round, ?input, "built");
+        self.event(Event::Built { job: id, round, input });
+        self.refresh(id);
+    }
+
+    /// Drops the maps of a round that is complete.
+    pub(super) fn retire(&mut self, id: JobId, round: u32) {
+        if let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) {
+            live.retire(round);
+        }
+    }
+
+    /// Has the light images that came in added to their sum.
+    pub(super) fn add_light(&self, id: JobId) {
+        let Some(sum) = self.jobs.get(&id).and_then(|j| j.live.as_ref()?.light_sum()) else { return };
+        let own = self.own.clone();
+        let failed = move |error| report(&own, Input::Assembled(id, Err(error)));
+        self.compute.spawn(
+            move || sum.add_waiting().map_err(|e| e.to_string()),
+            move |result| flat(result).unwrap_or_else(failed),
+        );
+    }
+
+    /// Puts the image together.
+    pub(super) fn assemble(&mut self, id: JobId, done: Done) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        if let Some(counts) = self.scheduler.job(id) {
+            job.count(counts);
+        }
+        let Some(live) = job.live.as_mut() else { return };
+        let parts = live.parts(done);
+        let metadata = job.about.metadata(&job.settings, &job.stats);
+        let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
+        self.compute.spawn(
+            move || assemble::finish(parts, &metadata, keep, &store),
+            move |image| report(&own, Input::Assembled(id, flat(image))),
+        );
+        self.refresh(id);
+    }
+
+    pub(super) fn assembled(&mut self, id: JobId, image: Result<Image, String>) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        match image {
+            Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, *metadata)),
+            Ok(Image::Stored(blob)) => job.image = Some(blob),
+            Err(error) => return self.event(Event::StepFailed { job: id, error }),
+        }
+        self.event(Event::Assembled { job: id });
+    }
+
+    /// Where this digest is: a map or bootstrap of a live job, or a blob of a live job's scene. Anything else is nobody's
+    /// business.
+    pub(super) fn source(&self, digest: Digest) -> Option<Source> {
+        self.jobs.values().filter_map(|j| j.live.as_ref()).find_map(|live| live.source(digest))
+    }
+}
+
+/// From a compute thread to the driver, if it is still there.
+fn report(own: &mpsc::WeakSender<Input>, input: Input) {
+    if let Some(handle) = Handle::upgrade(own) {
+        handle.report(input);
+    }
+}
+
+/// A panic is a failure like others.
+fn flat<T>(result: Result<Result<T, String>, Panicked>) -> Result<T, String> {
+    result.unwrap_or_else(|panic| Err(panic.to_string()))
+}

@@ -1,0 +1,278 @@
+//! Jobs of many rounds, of bootstrap and splat phases, and with limits.
+
+use super::*;
+use gatherlight_proto::message::BlobRef;
+use gatherlight_proto::types::Limit;
+
+const BOOTSTRAP: BlobRef = BlobRef { digest: Digest([4; 32]), bytes: 24 };
+const LIMIT: Limits = Limits { time: Some(Duration::from_secs(60)) };
+
+fn rounds(count: u32, paths: u64, tiles: u32) -> Vec<Phase> {
+    let emission = |round| Phase::Emission { round, map: MapKind::Global, paths };
+    (0..count).flat_map(|round| [emission(round), Phase::Gather { round, tiles }]).collect()
+}
+fn submit(policy: Policy, phases: Vec<Phase>, limits: Limits) -> Bench {
+    let mut bench = Bench::new(policy);
+    assert_eq!(bench.event(Event::Submitted { job: JOB, phases, limits }), []);
+    bench
+}
+fn map(round: u32) -> MapRef {
+    MapRef { digest: Digest([round as u8; 32]), ..GLOBAL }
+}
+fn give(worker: WorkerId, id: u64, range: EmissionRange, task: Task) -> Command {
+    Command::Assign { worker, lease: lease(id, 1, range, task) }
+}
+fn emission(round: u32) -> Task {
+    Task::Emission { round, map: MapKind::Global }
+}
+fn tiles(round: u32) -> Task {
+    Task::Gather { round, maps: vec![map(round)] }
+}
+fn splat() -> Task {
+    Task::Splat { bootstrap: Some(BOOTSTRAP) }
+}
+fn assemble(rounds: u32, units: u64, ended_by: Option<Limit>) -> Command {
+    Command::Assemble { job: JOB, done: Done { rounds, units, ended_by } }
+}
+
+#[test]
+fn the_photons_of_a_round_are_traced_while_the_tiles_of_the_one_before_are_finished() {
+    let mut b = submit(policy(), rounds(3, 10, 2), Limits::default());
+    assert_eq!(b.join(A)[1..], [give(A, 1, range(0, 10), emission(0))]);
+    // While round 0's map is built, nothing but round 1 can be done; round 2 has to wait.
+    assert_eq!(b.join(B)[1..], [give(B, 2, range(0, 10), emission(1))]);
+    assert_eq!(b.complete(A, 1), [accept(1), build(0, MapKind::Global, 10)]);
+    assert_eq!(b.complete(B, 2), [accept(2), build(1, MapKind::Global, 10)]);
+    // Built out of order: tiles still come round by round.
+    assert_eq!(b.event(built(1, map(1))), []);
+    let both = [give(A, 3, range(0, 1), tiles(0)), give(B, 4, range(1, 2), tiles(0))];
+    assert_eq!(b.event(built(0, map(0))), both);
+    // B is done with what is left of round 0, and round 1's tiles wait for A's: a tile's rounds are summed in order.
+    assert_eq!(b.complete(B, 4), [accept(4)]);
+    let next = [give(A, 5, range(0, 1), tiles(1)), give(B, 6, range(1, 2), tiles(1))];
+    assert_eq!(b.complete(A, 3), [&[accept(3), Command::Retire { job: JOB, round: 0 }], &next[..]].concat());
+    // Now round 2 is in the window.
+    assert_eq!(b.complete(B, 6), [accept(6), give(B, 7, range(0, 10), emission(2))]);
+    assert_eq!(b.complete(A, 5), [accept(5), Command::Retire { job: JOB, round: 1 }]);
+    assert_eq!(b.complete(B, 7), [accept(7), build(2, MapKind::Global, 10)]);
+    assert_eq!(b.event(built(1, map(1))), []);
+    assert_eq!(b.event(built(2, map(2)))[..1], [give(A, 8, range(0, 1), tiles(2))]);
+    assert_eq!(b.complete(B, 9), [accept(9)]);
+    assert_eq!(b.complete(A, 8), [accept(8), assemble(3, 0, None)]);
+    assert_eq!(b.event(Event::Assembled { job: JOB }).last(), Some(&finish(Outcome::Done)));
+}
+
+#[test]
+fn work_of_an_earlier_phase_goes_before_work_of_a_later_one() {
+    let mut b = submit(policy(), rounds(2, 10, 2), Limits::default());
+    b.join(A);
+    b.join(B);
+    b.complete(A, 1);
+    b.event(built(0, map(0)));
+    assert_eq!(b.scheduler.lease(LeaseId(3)).map(|l| l.lease.task.clone()), Some(tiles(0)));
+    // A is lost with round 0's tiles: B does them before anything of round 1 that is left.
+    b.event(Event::Lost { worker: A });
+    assert_eq!(b.complete(B, 2)[..2], [accept(2), build(1, MapKind::Global, 10)]);
+    assert_eq!(b.scheduler.lease(LeaseId(4)).map(|l| l.lease.task.clone()), Some(tiles(0)));
+}
+
+#[test]
+fn a_time_limit_ends_a_job_between_two_rounds() {
+    let mut b = submit(policy(), rounds(9, 10, 1), LIMIT);
+    b.join(A);
+    b.join(B);
+    b.complete(A, 1);
+    b.event(built(0, map(0)));
+    b.complete(B, 2);
+    b.event(built(1, map(1)));
+    // Round 0's tile is out; the limit is reached before it comes back.
+    b.now = seconds(61);
+    b.event(Event::Heard { worker: A });
+    assert_eq!(b.event(Event::Heard { worker: B }), []);
+    assert_eq!(b.event(Event::Tick), []);
+    let total = |b: &Bench| b.scheduler.job(JOB).map(|j| j.total(Kind::Emission(MapKind::Global)).units);
+    assert_eq!(total(&b), Some(20));
+    assert_eq!(b.complete(A, 3), [accept(3), assemble(1, 0, Some(Limit::Time))]);
+    // What was done of round 1 is no part of the image.
+    assert_eq!(total(&b), Some(10));
+    assert_eq!(b.event(built(1, map(1))), []);
+    assert_eq!(b.event(Event::Assembled { job: JOB }).last(), Some(&finish(Outcome::Done)));
+}
+
+#[test]
+fn what_is_out_when_a_limit_ends_the_job_is_revoked() {
+    let mut b = submit(policy(), rounds(9, 100, 1), LIMIT);
+    b.join(A);
+    (1..=10).for_each(|id| drop(b.complete(A, id)));
+    b.event(built(0, map(0)));
+    b.join(B);
+    b.complete(A, 11);
+    assert_eq!(b.scheduler.lease(LeaseId(12)).map(|l| l.lease.task.clone()), Some(tiles(0)));
+    b.now = seconds(60);
+    let revoked = Command::Revoke { worker: A, lease: LeaseId(13) };
+    assert_eq!(b.scheduler.lease(LeaseId(13)).map(|l| l.lease.task.clone()), Some(emission(1)));
+    assert_eq!(b.complete(B, 12), [accept(12), revoked, assemble(1, 0, Some(Limit::Time))]);
+    assert_eq!(b.scheduler.leases().count(), 0);
+    assert!(b.scheduler.workers()[&A].leases.is_empty());
+}
+
+#[test]
+fn a_job_that_is_done_in_time_is_not_said_to_be_ended_by_its_limit() {
+    let mut b = submit(policy(), rounds(1, 0, 1)[1..].to_vec(), LIMIT);
+    b.join(A);
+    b.now = seconds(100);
+    assert_eq!(b.complete(A, 1), [accept(1), assemble(1, 0, None)]);
+}
+
+#[test]
+fn chains_wait_for_their_bootstrap_and_read_it() {
+    let phases = vec![Phase::Bootstrap { paths: 10 }, Phase::Splat { units: 3 }, Phase::Gather { round: 0, tiles: 1 }];
+    let mut b = submit(policy(), phases, Limits::default());
+    b.join(A);
+    // Tiles read no bootstrap, so they need not wait.
+    b.join(B);
+    let open: Vec<Task> = b.scheduler.leases().map(|l| l.lease.task.clone()).collect();
+    assert_eq!(open, [Task::Bootstrap, Task::Gather { round: 0, maps: vec![] }]);
+    let build = Command::Build { job: JOB, phase: Phase::Bootstrap { paths: 10 } };
+    assert_eq!(b.complete(A, 1), [accept(1), build]);
+    let made = Event::Built { job: JOB, round: 0, input: InputRef::Bootstrap(BOOTSTRAP) };
+    assert_eq!(b.event(made.clone()), [give(A, 3, range(0, 1), splat())]);
+    assert_eq!(b.event(made), []);
+    assert_eq!(b.complete(B, 2), [accept(2), give(B, 4, range(1, 2), splat())]);
+    assert_eq!(b.complete(B, 4), [accept(4), give(B, 5, range(2, 3), splat())]);
+    assert_eq!(b.complete(B, 5), [accept(5)]);
+    assert_eq!(b.complete(A, 3), [accept(3), assemble(1, 3, None)]);
+}
+
+fn splatting(units: u64) -> Bench {
+    let mut b = submit(policy(), vec![Phase::Bootstrap { paths: 1 }, Phase::Splat { units }], LIMIT);
+    b.join(A);
+    b.complete(A, 1);
+    b.event(Event::Built { job: JOB, round: 0, input: InputRef::Bootstrap(BOOTSTRAP) });
+    b.join(B);
+    b
+}
+
+fn at_the_limit(b: &mut Bench) -> Vec<Command> {
+    b.now = seconds(61);
+    let heard = [A, B].map(|worker| b.event(Event::Heard { worker }));
+    [heard.concat(), b.event(Event::Tick)].concat()
+}
+
+#[test]
+fn at_a_time_limit_the_units_that_are_out_are_finished_and_count() {
+    let mut b = splatting(100);
+    assert_eq!(b.complete(A, 2)[1..], [give(A, 4, range(4, 6), splat())]);
+    assert_eq!(at_the_limit(&mut b), []);
+    assert_eq!(b.complete(A, 4), [accept(4)]);
+    assert_eq!(b.complete(B, 3), [accept(3), assemble(0, 6, Some(Limit::Time))]);
+}
+
+#[test]
+fn units_lost_after_a_time_limit_are_left_out() {
+    let mut b = splatting(100);
+    b.complete(A, 2);
+    assert_eq!(at_the_limit(&mut b), []);
+    assert_eq!(b.event(Event::Lost { worker: B }), []);
+    assert_eq!(b.fail(A, 4, "x"), [assemble(0, 2, Some(Limit::Time))]);
+}
+
+#[test]
+fn an_image_needs_one_unit_whatever_the_limit() {
+    let mut b = splatting(100);
+    assert_eq!(at_the_limit(&mut b), []);
+    // Nothing is done yet: what comes back is handed out again.
+    assert_eq!(b.event(Event::Lost { worker: B }), []);
+    assert_eq!(b.complete(A, 2), [accept(2), assemble(0, 2, Some(Limit::Time))]);
+    let mut b = splatting(3);
+    b.complete(A, 2);
+    at_the_limit(&mut b);
+    // All units are out or done, so the limit changes nothing.
+    assert_eq!(b.complete(B, 3), [accept(3), assemble(0, 3, None)]);
+}
+
+#[test]
+fn a_round_begins_with_the_rates_and_the_photons_per_path_of_the_one_before() {
+    let policy = Policy { leases_per_worker: 1, max_lease_photons: 1 << 40, ..Policy::default() };
+    let mut b = submit(policy.clone(), rounds(3, 1 << 40, 1 << 20), Limits::default());
+    b.join(A);
+    let mut units = Vec::new();
+    for _ in 0..4_000_000 {
+        let Some(open) = b.scheduler.leases().next().map(|l| l.lease.clone()) else { break };
+        units.push((open.task.clone(), open.range.len()));
+        if matches!(open.task, Task::Emission { round: 1, .. }) {
+            break;
+        }
+        // A million paths or ten tiles a second.
+        let rate = if matches!(open.task, Task::Gather { .. }) { 10.0 } else { 1e6 };
+        let busy = Duration::from_secs_f64(open.range.len() as f64 / rate);
+        let (lease, attempt, range) = (open.id, open.attempt, open.range);
+        b.event(Event::Completed { worker: A, lease, attempt, range, busy, stored: range.len() });
+        b.event(built(0, map(0)));
+    }
+    assert_eq!(units.first(), Some(&(emission(0), policy.probe_paths)));
+    assert_eq!(units.last(), Some(&(emission(1), 1_000_000)));
+}
+
+#[test]
+fn what_a_round_costs_does_not_depend_on_how_many_there_are() {
+    let count = 65_536;
+    let both = |round| MapKind::ALL.map(|map| Phase::Emission { round, map, paths: 10 });
+    let all = |round| both(round).into_iter().chain([Phase::Gather { round, tiles: 2 }]);
+    let mut b = submit(policy(), (0..count).flat_map(all).collect(), Limits::default());
+    b.join(A);
+    let mut widest = 0;
+    let mut waiting = vec![];
+    loop {
+        let next = b.scheduler.leases().next().map(|l| l.lease.id.0);
+        let said = match (next, waiting.pop()) {
+            (_, Some(Command::Build { phase: Phase::Emission { round, map: kind, .. }, .. })) => {
+                b.event(built(round, MapRef { kind, ..map(round) }))
+            }
+            (Some(id), _) => b.complete(A, id),
+            (None, _) => break,
+        };
+        widest = widest.max(b.scheduler.job(JOB).map_or(0, |j| j.steps().count()));
+        waiting.extend(said.iter().filter(|c| matches!(c, Command::Build { .. })).cloned());
+        if let Some(done) = said.iter().find(|c| matches!(c, Command::Assemble { .. })) {
+            assert_eq!(*done, assemble(count, 0, None));
+            assert_eq!(widest, 6);
+            return;
+        }
+    }
+    panic!("the job stands still in round {:?}", b.scheduler.job(JOB).map(|j| j.round()));
+}
+
+#[test]
+fn rounds_out_of_order_or_without_an_end_make_no_job() {
+    let gather = |round| Phase::Gather { round, tiles: 1 };
+    let emit = |round| Phase::Emission { round, map: MapKind::Global, paths: 1 };
+    let (bootstrap, splat) = (Phase::Bootstrap { paths: 1 }, Phase::Splat { units: 1 });
+    let good = [
+        vec![splat],
+        vec![bootstrap, splat],
+        vec![bootstrap, splat, gather(0)],
+        vec![emit(0), gather(0), bootstrap, splat],
+        vec![gather(0), gather(1), emit(2), gather(2)],
+    ];
+    for phases in good {
+        assert!(Job::new(JOB, phases.clone(), LIMIT, seconds(0)).is_some(), "{phases:?}");
+    }
+    let bad = [
+        vec![gather(1)],
+        vec![gather(0), gather(2)],
+        vec![gather(1), gather(0)],
+        vec![gather(0), emit(1)],
+        vec![gather(0), emit(0)],
+        vec![emit(0), splat],
+        vec![bootstrap, gather(0)],
+        vec![splat, bootstrap],
+        vec![splat, splat],
+        vec![gather(0), emit(1), gather(1), splat],
+    ];
+    for phases in bad {
+        assert!(Job::new(JOB, phases.clone(), LIMIT, seconds(0)).is_none(), "{phases:?}");
+    }
+    assert!(job::can_end_early(&rounds(2, 1, 1)) && job::can_end_early(&[splat]));
+    assert!(!job::can_end_early(&rounds(1, 1, 1)));
+}
