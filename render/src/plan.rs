@@ -132,6 +132,20 @@ impl Plan {
     }
 }
 
+impl Plan {
+    /// The least number of rounds with which the photons of one take at most `memory` bytes while their maps are merged and
+    /// built, which is when they take most.
+    pub fn rounds_within(&self, memory: u64) -> u64 {
+        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
+        let (global, caustic) = (stored(&self.global), stored(&self.caustic));
+        let (larger, smaller) = (global.max(caustic), global.min(caustic));
+        let all = larger
+            .saturating_mul(BUILD_BYTES_PER_PHOTON)
+            .saturating_add(smaller.saturating_mul(WAITING_BYTES_PER_PHOTON));
+        all.div_ceil(memory.max(1)).max(1)
+    }
+}
+
 fn plural(n: usize) -> &'static str {
     if n == 1 { "" } else { "s" }
 }
@@ -145,7 +159,8 @@ fn plan_global(scene: &Scene, settings: &RenderSettings) -> Result<EmissionPlan,
     if settings.photons == 0 {
         return Err("--photons is 0".into());
     }
-    let storage = if settings.final_gather > 0 { Storage::All } else { Storage::Indirect };
+    let whole = settings.final_gather > 0 || settings.direct_from_map;
+    let storage = if whole { Storage::All } else { Storage::Indirect };
     Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None))
 }
 
@@ -153,6 +168,9 @@ fn plan_caustic(scene: &Scene, settings: &RenderSettings, aim: Option<&AimedEmis
     common_reason(scene, settings)?;
     if !scene.has_specular_or_glossy() {
         return Err("no surface is specular or glossy".into());
+    }
+    if settings.direct_from_map {
+        return Err("--direct-from-map: the global map holds focused light, too".into());
     }
     if settings.caustic_photons == 0 {
         return Err("--caustic-photons is 0".into());
@@ -192,10 +210,16 @@ fn emission_plan(
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
     let (w, h, s) = (settings.width, settings.height, settings.samples);
     entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
+    if settings.method == Method::Whitted {
+        let why = "method whitted follows light from lamps to one diffuse surface, mirrors and glass to the camera";
+        entry("indirect light", false, why.into());
+        entry("caustics", false, why.into());
+    }
     if settings.method == Method::Photon {
         let kept = has_global && settings.final_gather > 0;
         let reason = match (has_global, settings.final_gather) {
             (false, _) => "there is no global map".to_string(),
+            (true, 0) if settings.direct_from_map => "--direct-from-map: the global map shows all light".to_string(),
             (true, 0) => "--final-gather is 0: the global map is looked at directly".to_string(),
             (true, n) => format!("{n} rays for each diffuse camera vertex"),
         };

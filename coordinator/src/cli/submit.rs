@@ -7,7 +7,7 @@ use super::format::bytes;
 use super::output::{Output, OutputArgs};
 use super::preflight::Preflight;
 use super::progress::{MessageArgs, Style};
-use super::scene::SceneArgs;
+use super::scene::{Loaded, SceneArgs};
 use super::watch::{follow, interrupted, outcome};
 use super::{json, print_json, print_result};
 use crate::client::{Client, SubmitRequest};
@@ -49,10 +49,11 @@ pub(super) struct SubmitArgs {
 
 pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let output = args.output.check()?;
-    let (bundle, settings) = args.scene.load()?;
-    let preflight = Preflight::new(&bundle, &settings)?;
+    let loaded = args.scene.load()?;
+    let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
     args.messages.note(&preflight.text());
+    let Loaded { bundle, settings, .. } = loaded;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
     let request = SubmitRequest { name, bundle, settings };
     args.connection.run(|client| submit(client, args, request, output))
