@@ -7,6 +7,7 @@ use crate::error::{SceneError, SettingsError};
 use crate::film::{ChannelSet, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle};
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::whitted::Whitted;
 use crate::integrator::{Bootstrap, path, tile};
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
@@ -132,7 +133,10 @@ impl PreparedJob {
         if scene.lights.is_empty() {
             warnings.push("the scene has no light: the image will be black".into());
         }
-        let wants_aim = settings.method == Method::Photon && settings.caustic_photons > 0 && scene.has_diffuse();
+        let wants_aim = settings.method == Method::Photon
+            && !settings.direct_from_map
+            && settings.caustic_photons > 0
+            && scene.has_diffuse();
         let aim = if wants_aim { AimedEmission::new(&scene) } else { None };
         let plan = Plan::new(&scene, settings, aim.as_ref());
         Ok(PreparedJob { settings: settings.clone(), digest, scene, camera, aim, plan, warnings })
@@ -251,6 +255,10 @@ impl PreparedJob {
                 let gather = GatherSettings::new(settings, maps, &scene.space);
                 let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| pass.trace(ray, sampler))
+            }
+            Method::Whitted => {
+                let mut tree = Whitted::new(scene, settings.max_depth);
+                tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| tree.trace(ray, sampler))
             }
             _ => tile::render(index, rect, settings, camera, &scene.space, |ray, sampler| {
                 path::trace(scene, ray, settings.max_depth, sampler)

@@ -51,7 +51,7 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 2] = [Method::Path, Method::Photon];
+    pub const ALL: [Method; 3] = [Method::Whitted, Method::Path, Method::Photon];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {

@@ -26,8 +26,15 @@ impl LightDirection {
     pub fn sample(scene: &Scene, point: &SurfacePoint, sampler: &mut Sampler) -> Option<Self> {
         let (u_light, u) = (sampler.next_1d(), sampler.next_2d());
         let (index, pmf) = scene.lights.selector().sample(u_light)?;
+        Self::towards(scene, point, index, pmf, u)
+    }
+
+    /// A point on light `index`, of which `count` samples are expected: the light's probability where one of all is chosen, 1
+    /// where each is asked. [`LightDirection::pdf`] and [`LightDirection::weighted_radiance`] have it in them.
+    #[inline]
+    pub fn towards(scene: &Scene, point: &SurfacePoint, index: usize, count: f32, u: [f32; 2]) -> Option<Self> {
         let s = scene.lights.get(index)?.sample_li(&scene.light_context(), point.position, u)?;
-        let pdf = pmf * s.pdf;
+        let pdf = count * s.pdf;
         if pdf <= 0.0 || !pdf.is_finite() {
             return None;
         }

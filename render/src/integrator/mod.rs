@@ -14,6 +14,7 @@ pub mod path;
 pub mod photon_map;
 pub mod sample;
 pub mod tile;
+pub mod whitted;
 
 pub use bootstrap::Bootstrap;
 pub use sample::{FirstHit, Sample};
