@@ -4,7 +4,7 @@
 //! direct light by next-event estimation (with MIS against the final-gather rays), focused light from the caustic map,
 //! and the rest by final-gather rays that read the global map's precomputed irradiance where they meet a diffuse lobe.
 //! With `direct_from_map` the map holds all light instead, and is looked at where the camera path meets a diffuse lobe: the plain
-//! radiance estimate (Jensen 2001, §7.2). Light that reaches glossy lobes straight from a light is then still estimated.
+//! radiance estimate (Jensen 2001, ch. 7). Light that reaches glossy lobes straight from a light is then still estimated.
 //! Which term counts which paths: see [`super`]; every path is counted once, by lobe, without a roughness threshold.
 
 use super::direct::{LightDirection, light_pdf};
