@@ -6,7 +6,7 @@ use gatherlight_render::film::Film;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::MapKind;
 use gatherlight_render::plan::{Plan, PlanEntry};
-use gatherlight_render::settings::{Layer, Method, RenderSettings};
+use gatherlight_render::settings::{Layer, Method, RenderSettings, Setting};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -39,7 +39,7 @@ impl About {
             kind: m.kind,
             emitted_count: m.emitted_count,
             stored_count: m.stored_count,
-            k: Some(settings.k),
+            k: settings.method.options().contains(&Setting::K).then_some(settings.k),
             max_gather_radius: self.gather_radii.get(&m.kind).copied(),
         };
         ImageMetadata {
@@ -120,12 +120,12 @@ impl Summary {
         use crate::cli::format::{count, duration, grouped};
         let (s, t) = (&self.settings, &self.stats);
         let mut text = format!(
-            "{}: {} × {}, {}, {} samples in {}",
+            "{}: {} × {}, {}, {} in {}",
             self.files.join(", "),
             s.width,
             s.height,
             s.method.name(),
-            s.samples,
+            effort(s),
             duration(self.elapsed)
         );
         for m in &t.maps {
@@ -171,13 +171,33 @@ impl Summary {
             "method": s.method.name(),
             "width": s.width,
             "height": s.height,
-            "samples": s.samples,
+            "samples": samples_per_pixel(s),
+            "mutations": (s.method == Method::Mlt).then_some(s.mutations),
             "seed": s.seed,
             "elapsed_s": self.elapsed.as_secs_f64(),
             "standard_error": self.noise.map(|n| n.standard_error),
             "relative_standard_error": self.noise.map(|n| n.relative).filter(|r| r.is_finite()),
             "stats": stats_json(t),
         })
+    }
+}
+
+/// Camera samples of each pixel: one a round, where there are rounds; Markov chains have none of their own.
+fn samples_per_pixel(s: &RenderSettings) -> Option<u32> {
+    match s.method {
+        Method::Mlt => None,
+        m if m.has_rounds() => Some(s.rounds),
+        _ => Some(s.samples),
+    }
+}
+
+/// How much was computed for each pixel.
+fn effort(s: &RenderSettings) -> String {
+    let plural = |n: u32, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    match s.method {
+        Method::Mlt => format!("{} a pixel", plural(s.mutations, "mutation")),
+        m if m.has_rounds() => plural(s.rounds, "round"),
+        _ => plural(s.samples, "sample"),
     }
 }
 
@@ -216,6 +236,15 @@ pub fn stats_json(t: &JobStats) -> Value {
 mod tests {
     use super::*;
     use gatherlight_render::film::ChannelSet;
+
+    #[test]
+    fn each_method_counts_its_own_effort() {
+        let of = |method| effort(&RenderSettings { samples: 1, ..RenderSettings::for_method(method) });
+        assert_eq!(of(Method::Path), "1 sample");
+        assert_eq!(of(Method::Progressive), "64 rounds");
+        assert_eq!(of(Method::Mlt), "64 mutations a pixel");
+        assert_eq!(samples_per_pixel(&RenderSettings::for_method(Method::Vcm)), Some(64));
+    }
 
     #[test]
     fn noise_is_the_root_mean_square_standard_error() {

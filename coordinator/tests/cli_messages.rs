@@ -4,6 +4,7 @@
 mod common;
 
 use common::{run, scene, triangle_dir};
+use gatherlight_render::settings::{Method, Setting};
 
 #[test]
 fn a_missing_scene_is_named() {
@@ -57,7 +58,13 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         ("--max-depth 0", ["--max-depth", "at least 1"]),
         ("--final-gather 100k", ["--final-gather", "65536"]),
         ("--seed x", ["--seed", "x"]),
-        ("--method radiosity", ["radiosity", "photon, path"]),
+        ("--method radiosity", ["radiosity", "auto, "]),
+        ("--method path --k 20", ["--k: not used by method path", "takes --samples and --max-depth"]),
+        ("--method path --photons 1k --final-gather 0", ["--photons", "method path"]),
+        ("--method photon --max-depth 3", ["--max-depth", "photon, which takes --samples, --photons,"]),
+        ("--max-depth 3 --k 20", ["--method: no method takes all", "--k (photon)"]),
+        ("--direct-from-map --final-gather 2", ["--final-gather", "--direct-from-map"]),
+        ("--direct-from-map --layers caustic", ["--layers", "no caustic"]),
         ("--estimator tree", ["tree", "kdtree, hash"]),
         ("--kernel round", ["round", "constant, cone, epanechnikov"]),
         ("--layers direct,shadow", ["shadow", "caustic"]),
@@ -68,6 +75,21 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         run(dir.path(), &format!("render triangle.gltf -o x.exr {option}")).says(2, &parts);
     }
     assert!(!dir.path().join("x.exr").exists());
+}
+
+#[test]
+fn every_option_is_in_the_help_and_in_the_manual() {
+    let dir = tempfile::tempdir().unwrap();
+    let help = run(dir.path(), "render --help").out;
+    let manual = include_str!("../../docs/command-line.md");
+    for setting in Setting::ALL.into_iter().filter(|s| s.methods().next().is_some()) {
+        let option = format!("--{}", setting.name());
+        assert!(help.contains(&format!("{option} ")) || help.contains(&format!("{option}\n")), "{option} in {help}");
+        assert!(manual.contains(&format!("`{option}")), "{option} in docs/command-line.md");
+    }
+    for method in Method::ALL {
+        assert!(help.contains(method.name()) && manual.contains(&format!("`{}`", method.name())), "{}", method.name());
+    }
 }
 
 #[test]

@@ -64,3 +64,23 @@ fn the_plan_says_what_is_left_out_and_why() {
     let text = run(dir.path(), &format!("plan {}", scene("cornell-diffuse.glb").display()));
     assert!(text.out.contains("left out  caustic photon map: ") && text.out.contains("peak memory about"), "{text:?}");
 }
+
+#[test]
+fn the_plan_chooses_a_method_and_says_why() {
+    let dir = triangle_dir();
+    let method = |options: &str| {
+        let plan = run(dir.path(), &format!("plan triangle.gltf {options} --json")).json();
+        let of = |key: &str| plan["plan"]["method"][key].as_str().unwrap().to_owned();
+        let settings = plan["settings"].as_str().unwrap().to_owned();
+        assert!(settings.starts_with(&format!("--method {} ", of("name"))), "{settings}");
+        (of("name"), of("reason"))
+    };
+    assert_eq!(method("").0, "photon");
+    assert_eq!(method("--method path"), ("path".to_string(), "asked for".to_string()));
+    let (name, reason) = method("--max-depth 4 --samples 2");
+    assert!(name != "photon" && reason.contains("--max-depth"), "{name}: {reason}");
+    // Whether the scene is read for the camera's shape or not makes no difference.
+    assert_eq!(method("--width 8 --height 8"), method(""));
+    let text = run(dir.path(), "plan triangle.gltf");
+    assert!(text.out.lines().nth(1).is_some_and(|l| l.starts_with("method: photon — ")), "{text:?}");
+}

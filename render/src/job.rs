@@ -9,6 +9,7 @@ use crate::import::{self, SceneBundle};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::whitted::Whitted;
 use crate::integrator::{Bootstrap, path, progressive, tile};
 use crate::math::Rgb;
 use crate::photon::aim::AimedEmission;
@@ -136,7 +137,10 @@ impl PreparedJob {
         if scene.lights.is_empty() {
             warnings.push("the scene has no light: the image will be black".into());
         }
-        let wants_aim = plan::reads_photons(settings.method) && settings.caustic_photons > 0 && scene.has_diffuse();
+        let wants_aim = plan::reads_photons(settings.method)
+            && !settings.direct_from_map
+            && settings.caustic_photons > 0
+            && scene.has_diffuse();
         let aim = if wants_aim { AimedEmission::new(&scene) } else { None };
         let plan = Plan::new(&scene, &camera, settings, aim.as_ref());
         Ok(PreparedJob { settings: settings.clone(), digest, scene, camera, aim, plan, warnings })
@@ -338,6 +342,12 @@ impl PreparedJob {
                 let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
                     pass.trace(ray, sampler)
+                })
+            }
+            Method::Whitted => {
+                let mut tree = Whitted::new(scene, settings.max_depth);
+                tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
+                    tree.trace(ray, sampler)
                 })
             }
             _ => tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {

@@ -10,6 +10,7 @@
 #![deny(unsafe_code)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods, clippy::disallowed_types))]
 
+pub mod auto;
 pub mod error;
 pub mod export;
 pub mod film;

@@ -142,6 +142,20 @@ impl Plan {
     }
 }
 
+impl Plan {
+    /// The least number of rounds with which the photons of one take at most `memory` bytes while their maps are merged and
+    /// built, which is when they take most.
+    pub fn rounds_within(&self, memory: u64) -> u64 {
+        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
+        let (global, caustic) = (stored(&self.global), stored(&self.caustic));
+        let (larger, smaller) = (global.max(caustic), global.min(caustic));
+        let all = larger
+            .saturating_mul(BUILD_BYTES_PER_PHOTON)
+            .saturating_add(smaller.saturating_mul(WAITING_BYTES_PER_PHOTON));
+        all.div_ceil(memory.max(1)).max(1)
+    }
+}
+
 fn plural(n: usize) -> &'static str {
     if n == 1 { "" } else { "s" }
 }
@@ -156,7 +170,7 @@ fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<E
         return Err("--photons is 0".into());
     }
     let gathers = settings.method == Method::Photon && settings.final_gather > 0;
-    let storage = if gathers { Storage::All } else { Storage::Indirect };
+    let storage = if gathers || settings.direct_from_map { Storage::All } else { Storage::Indirect };
     Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None, pixel))
 }
 
@@ -169,6 +183,9 @@ fn plan_caustic(
     common_reason(scene, settings)?;
     if !scene.has_specular_or_glossy() {
         return Err("no surface is specular or glossy".into());
+    }
+    if settings.direct_from_map {
+        return Err("--direct-from-map: the global map holds focused light, too".into());
     }
     if settings.caustic_photons == 0 {
         return Err("--caustic-photons is 0".into());
@@ -252,10 +269,16 @@ fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
     let (w, h, s) = (settings.width, settings.height, settings.samples);
     entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
+    if settings.method == Method::Whitted {
+        let why = "method whitted follows light from lamps to one diffuse surface, mirrors and glass to the camera";
+        entry("indirect light", false, why.into());
+        entry("caustics", false, why.into());
+    }
     if settings.method == Method::Photon {
         let kept = has_global && settings.final_gather > 0;
         let reason = match (has_global, settings.final_gather) {
             (false, _) => "there is no global map".to_string(),
+            (true, 0) if settings.direct_from_map => "--direct-from-map: the global map shows all light".to_string(),
             (true, 0) => "--final-gather is 0: the global map is looked at directly".to_string(),
             (true, n) => format!("{n} rays for each diffuse camera vertex"),
         };

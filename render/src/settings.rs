@@ -1,5 +1,10 @@
 //! What determines an image: everything here, together with the scene's digest, and nothing else.
 
+mod options;
+
+pub use options::Setting;
+pub(crate) use options::enumerate;
+
 use crate::error::SettingsError;
 
 /// Largest number of pixels along one side.
@@ -46,7 +51,8 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 5] = [Method::Path, Method::Bdpt, Method::Mlt, Method::Photon, Method::Progressive];
+    pub const ALL: [Method; 6] =
+        [Method::Whitted, Method::Path, Method::Bdpt, Method::Mlt, Method::Photon, Method::Progressive];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
@@ -57,15 +63,6 @@ impl Method {
             Method::Photon => "photon",
             Method::Progressive => "progressive",
             Method::Vcm => "vcm",
-        }
-    }
-    /// Extra layers it can show. The bidirectional methods do not tell the parts of light apart, and their light image has
-    /// no samples of a pixel whose variance could be taken.
-    pub const fn layers(self) -> &'static [Layer] {
-        match self {
-            Method::Mlt => &[],
-            Method::Bdpt => &[Layer::Albedo, Layer::Normal, Layer::Depth, Layer::Position, Layer::Samples],
-            _ => &Layer::ALL,
         }
     }
     /// Whether the image is the mean over rounds of one camera sample a pixel each, rather than over samples.
@@ -82,18 +79,6 @@ pub enum Merge {
     Shared,
     /// Each round is computed whole by one worker, and only images travel (Knaus and Zwicker 2011, §6).
     Independent,
-}
-
-impl Merge {
-    /// Both, in the order help texts name them.
-    pub const ALL: [Merge; 2] = [Merge::Shared, Merge::Independent];
-    /// Name on the command line and in headers.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Merge::Shared => "shared",
-            Merge::Independent => "independent",
-        }
-    }
 }
 
 /// Search structure over the photons.
@@ -315,6 +300,7 @@ impl RenderSettings {
             return bad("radius-alpha", format!("{} is not between 0 and 1", self.radius_alpha));
         }
         self.validate_chains()?;
+        self.validate_for_method()?;
         if self.max_depth == Some(0) {
             return bad("max-depth", "must be at least 1 (1 shows only emission seen directly)".into());
         }
@@ -324,10 +310,40 @@ impl RenderSettings {
         if self.layers.windows(2).any(|w| w[0] >= w[1]) {
             return bad("layers", "each layer may be named once".into());
         }
-        if let Some(layer) = self.layers.iter().find(|l| !self.method.layers().contains(l)) {
-            let there: Vec<&str> = self.method.layers().iter().map(|l| l.name()).collect();
-            let (method, layer) = (self.method.name(), layer.name());
-            return bad("layers", format!("{method} has no layer {layer}; it has {}", there.join(", ")));
+        Ok(())
+    }
+
+    /// Checks what depends on the method: layers it has, and settings that contradict each other.
+    fn validate_for_method(&self) -> Result<(), SettingsError> {
+        let bad = |setting, message: String| Err(SettingsError { setting, message });
+        self.method.refuse_layers(&self.layers)?;
+        if self.direct_from_map {
+            if self.method != Method::Photon {
+                self.method.refuse_unused(&[Setting::DirectFromMap])?;
+            }
+            if self.final_gather > 0 {
+                let n = self.final_gather;
+                return bad(
+                    "final-gather",
+                    format!("{n} with --direct-from-map, which looks at the map itself: leave one out"),
+                );
+            }
+            const PARTS: [Layer; 3] = [Layer::Direct, Layer::Indirect, Layer::Caustic];
+            if let Some(layer) = self.layers.iter().find(|l| PARTS.contains(l)) {
+                return bad(
+                    "layers",
+                    format!("with --direct-from-map one map holds all light: there is no {}", layer.name()),
+                );
+            }
+        }
+        for (setting, paths) in [("photons", self.photons), ("caustic-photons", self.caustic_photons)] {
+            if self.method.has_rounds() && (1..u64::from(self.rounds)).contains(&paths) {
+                let rounds = self.rounds;
+                return bad(
+                    setting,
+                    format!("{paths} is the total over all rounds: less than one for each of {rounds}"),
+                );
+            }
         }
         Ok(())
     }

@@ -84,5 +84,5 @@ fn layers_it_does_not_have_are_refused_with_those_it_has() {
     assert_eq!(with(vec![Layer::Albedo, Layer::Normal, Layer::Depth, Layer::Position, Layer::Samples]), Ok(()));
     let error = with(vec![Layer::Caustic]).expect_err("no caustic layer");
     assert_eq!(error.setting, "layers");
-    assert_eq!(error.message, "bdpt has no layer caustic; it has albedo, normal, depth, position, samples");
+    assert_eq!(error.message, "method bdpt has no caustic; it has albedo, normal, depth, position and samples");
 }

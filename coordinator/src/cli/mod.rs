@@ -13,6 +13,7 @@ pub(crate) mod format;
 mod jobs;
 mod json;
 mod limits;
+mod options;
 mod output;
 mod plan;
 mod preflight;
@@ -41,7 +42,7 @@ Examples:
 
 Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
 
-/// Renders glTF scenes by photon mapping, on this machine or on a cluster
+/// Renders glTF scenes by photon mapping and other light transport, on this machine or on a cluster
 #[derive(Parser, Debug)]
 #[command(name = "gatherlight", version, after_help = EXAMPLES, arg_required_else_help = true, max_term_width = 100)]
 pub struct Cli {

@@ -11,7 +11,8 @@ use serde_json::json;
 const EXAMPLES: &str = "\
 Examples:
   gatherlight plan cornell.glb
-  gatherlight plan cornell.glb --photons 10M --json";
+  gatherlight plan cornell.glb --photons 10M --json
+  gatherlight plan cornell.glb --method path";
 
 /// Show what a render would compute and what it would leave out, and why
 #[derive(Args, Debug)]
@@ -28,19 +29,20 @@ pub(super) struct PlanArgs {
 }
 
 pub(super) fn run(args: &PlanArgs) -> CliResult {
-    let (bundle, settings) = args.scene.load()?;
-    let preflight = Preflight::new(&bundle, &settings)?;
+    let loaded = args.scene.load()?;
+    let preflight = Preflight::new(&loaded)?;
+    let (bundle, settings) = (&loaded.bundle, &loaded.settings);
     preflight.report_warnings(args.strict)?;
     if args.json {
         print_json(&json!({
             "scene": bundle.name,
             "scene_digest": preflight.digest,
-            "settings": settings_text(&settings),
+            "settings": settings_text(settings),
             "plan": preflight.json,
             "warnings": preflight.warnings,
         }));
     } else {
-        print_result(&format!("{} {}\n{}", bundle.name, settings_text(&settings), preflight.text()));
+        print_result(&format!("{} {}\n{}", bundle.name, settings_text(settings), preflight.text()));
     }
     Ok(())
 }

@@ -3,12 +3,12 @@
 use super::error::CliError;
 use super::format::bytes;
 use super::progress::warn;
+use super::scene::Loaded;
 use crate::report;
 use crate::schedule::job::can_end_early;
-use gatherlight_render::import::SceneBundle;
+use gatherlight_render::auto::Choice;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::plan::{EmissionPlan, Plan};
-use gatherlight_render::settings::RenderSettings;
 use serde_json::{Value, json};
 
 /// What a scene and its settings will lead to.
@@ -32,18 +32,19 @@ impl Preflight {
     ///
     /// # Errors
     /// When the scene or a setting makes no sense.
-    pub(super) fn new(bundle: &SceneBundle, settings: &RenderSettings) -> Result<Self, CliError> {
-        Ok(Preflight::of(&PreparedJob::prepare(bundle, settings)?))
+    pub(super) fn new(loaded: &Loaded) -> Result<Self, CliError> {
+        Ok(Preflight::of(&PreparedJob::prepare(&loaded.bundle, &loaded.settings)?, &loaded.choice))
     }
 
-    /// The same of a job that is prepared already.
-    pub(super) fn of(job: &PreparedJob) -> Self {
+    /// The same of a job that is prepared already, by the method of `choice`.
+    pub(super) fn of(job: &PreparedJob, choice: &Choice) -> Self {
+        let method = format!("method: {} — {}", choice.method.name(), choice.reason);
         Preflight {
             digest: job.scene_digest().to_string(),
-            plan: report::plan_lines(job.plan()),
+            plan: std::iter::once(method).chain(report::plan_lines(job.plan())).collect(),
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
-            json: plan_json(job),
+            json: plan_json(job, choice),
             can_end_early: can_end_early(&job.phases()),
         }
     }
@@ -80,7 +81,7 @@ fn costs(plan: &Plan) -> String {
     text
 }
 
-fn plan_json(job: &PreparedJob) -> Value {
+fn plan_json(job: &PreparedJob, choice: &Choice) -> Value {
     let plan = job.plan();
     let entries: Vec<Value> =
         plan.entries.iter().map(|e| json!({ "what": e.what, "kept": e.kept, "reason": e.reason })).collect();
@@ -88,6 +89,7 @@ fn plan_json(job: &PreparedJob) -> Value {
         e.as_ref().map(|e| json!({ "paths": e.paths, "expected_stored": e.expected_stored }))
     };
     json!({
+        "method": { "name": choice.method.name(), "reason": choice.reason },
         "phases": job.phases().iter().map(phase_json).collect::<Vec<_>>(),
         "entries": entries,
         "global": emission(&plan.global),

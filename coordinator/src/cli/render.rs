@@ -5,7 +5,7 @@ use super::limits::LimitArgs;
 use super::output::OutputArgs;
 use super::preflight::Preflight;
 use super::progress::{JobView, MessageArgs};
-use super::scene::SceneArgs;
+use super::scene::{Loaded, SceneArgs};
 use super::{print_json, print_result};
 use crate::embedded;
 use crate::report::{self, Summary};
@@ -15,13 +15,15 @@ use gatherlight_render::job::PreparedJob;
 use std::sync::Arc;
 
 const EXAMPLES: &str = "\
-The scene and the options under Image and Photon mapping determine the image, bit for bit: whatever the number of \
-threads, here or on a cluster.
+The scene and the options under Image, Photons, Rounds and Markov chains determine the image, bit for bit: whatever the \
+number of threads, here or on a cluster. Each method has options of its own; [photon; default: 60] says whose, and the default.
 
 Examples:
   gatherlight render cornell.glb -o cornell.exr
   gatherlight render cornell.glb -o cornell.png --width 256 --samples 8 --photons 100k
+  gatherlight render cornell.glb -o look.png --method whitted
   gatherlight render cornell.glb -o truth.exr --method path --samples 4096
+  gatherlight render cornell.glb -o plain.exr --method photon --direct-from-map --photons 10k --k 50
   gatherlight render cornell.glb -o layers.exr --layers direct,indirect,caustic,variance,samples";
 
 /// Render a scene on this machine
@@ -52,9 +54,9 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
         return Err(CliError::Usage(format!("--threads: {} is outside 0 … {MAX_THREADS}", args.threads)));
     }
     let output = args.output.check()?;
-    let (bundle, settings) = args.scene.load()?;
+    let Loaded { bundle, settings, choice } = args.scene.load()?;
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
-    let preflight = Preflight::of(&job);
+    let preflight = Preflight::of(&job, &choice);
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());

@@ -3,7 +3,10 @@
 use super::error::CliError;
 use super::settings::{SettingsArgs, camera_aspect};
 use clap::Args;
+use gatherlight_render::auto::Choice;
 use gatherlight_render::import::{self, SceneBundle};
+use gatherlight_render::job::PreparedJob;
+use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::RenderSettings;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -21,23 +24,40 @@ pub(super) struct SceneArgs {
     settings: SettingsArgs,
 }
 
+/// A scene with the settings it is rendered with.
+pub(super) struct Loaded {
+    /// The scene's files.
+    pub(super) bundle: SceneBundle,
+    /// The settings, complete.
+    pub(super) settings: RenderSettings,
+    /// The method, and why.
+    pub(super) choice: Choice,
+}
+
 impl SceneArgs {
     /// Reads the scene with every file it names, and checks the settings.
     ///
     /// # Errors
     /// When a file cannot be read (with its path), or a setting makes no sense.
-    pub(super) fn load(&self) -> Result<(SceneBundle, RenderSettings), CliError> {
+    pub(super) fn load(&self) -> Result<Loaded, CliError> {
+        let args = &self.settings;
         // Nonsense in the options is found before a large scene is read.
-        self.settings.check()?;
+        args.check()?;
         let bundle = read_bundle(&self.scene)?;
-        let aspect = if self.settings.needs_aspect() {
-            let description = import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?;
-            camera_aspect(&description.cameras, &self.settings.camera())
+        let description = if args.needs_scene() {
+            import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?
         } else {
-            1.0
+            SceneDescription::default()
         };
-        let settings = self.settings.settings(aspect)?;
-        Ok((bundle, settings))
+        let choice = args.method(&description)?;
+        let aspect = camera_aspect(&description.cameras, &args.camera());
+        drop(description);
+        let mut settings = args.settings(choice.method, aspect)?;
+        if let Some(memory) = args.memory() {
+            let job = PreparedJob::prepare(&bundle, &settings)?;
+            args.fit_memory(&mut settings, job.plan(), memory)?;
+        }
+        Ok(Loaded { bundle, settings, choice })
     }
 }
 

@@ -1,22 +1,27 @@
 //! The options that determine an image, as flags.
 
 use super::error::CliError;
+use super::format::bytes;
+use super::options::OptionArgs;
 use clap::Args;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-use gatherlight_render::export::metadata::{estimator_name, kernel_name};
-use gatherlight_render::scene::description::{CameraDescription, Projection};
-use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Method, RenderSettings};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use gatherlight_render::auto::{self, Choice};
+use gatherlight_render::plan::Plan;
+use gatherlight_render::scene::description::{CameraDescription, Projection, SceneDescription};
+use gatherlight_render::settings::{CameraChoice, Layer, MAX_ROUNDS, Method, RenderSettings};
 
 /// Pixels down when neither `--width` nor `--height` is given.
 const DEFAULT_HEIGHT: u32 = 512;
+/// Leaves the choice of the method to the scene.
+const AUTO: &str = "auto";
 
 /// Options that determine the image.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Image")]
 pub(super) struct SettingsArgs {
-    /// How light transport is computed: photon mapping (sharp caustics) or path tracing (slow on caustics, no bias)
-    #[arg(long, value_parser = choice(&Method::ALL, Method::name), default_value = "photon")]
-    method: Method,
+    /// How light transport is computed; auto: chosen by what the scene holds, see `gatherlight plan`
+    #[arg(long, value_parser = method_or_auto(), default_value = AUTO)]
+    method: MethodChoice,
     /// Pixels across [default: from the height and the camera's aspect ratio]
     #[arg(long, value_name = "PIXELS")]
     width: Option<u32>,
@@ -26,54 +31,29 @@ pub(super) struct SettingsArgs {
     /// Camera by name, or by index in file order; digits alone are an index [default: the first]
     #[arg(long, value_name = "NAME|INDEX")]
     camera: Option<String>,
-    /// Camera samples per pixel
-    #[arg(long, value_name = "N", value_parser = count32, default_value_t = RenderSettings::default().samples)]
-    samples: u32,
     /// Seed of every random number: the same seed gives the same image, bit for bit
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Longest path in edges between camera and light [default: unlimited]
-    #[arg(long, value_name = "N")]
-    max_depth: Option<u32>,
     /// Layers beside the colour, separated by commas
     #[arg(long, value_parser = choice(&Layer::ALL, Layer::name), value_name = "LAYER,…", value_delimiter = ',')]
     layers: Vec<Layer>,
     #[command(flatten)]
-    photon: PhotonArgs,
+    options: OptionArgs,
 }
 
-/// Options of photon mapping.
-#[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "Photon mapping")]
-struct PhotonArgs {
-    /// Photon paths emitted for the global map, e.g. 500k or 10M
-    #[arg(long, value_name = "N", value_parser = count64, default_value = "500k")]
-    photons: u64,
-    /// Photon paths emitted for the caustic map
-    #[arg(long, value_name = "N", value_parser = count64, default_value = "1M")]
-    caustic_photons: u64,
-    /// Photons in one density estimate
-    #[arg(long, value_name = "K", value_parser = count32, default_value_t = RenderSettings::default().k)]
-    k: u32,
-    /// Largest gather radius in the scene's units [default: from the map's density]
-    #[arg(long, value_name = "RADIUS")]
-    max_radius: Option<f32>,
-    /// Final-gather rays per camera sample; 0 looks at the global map directly
-    #[arg(long, value_name = "N", value_parser = count32, default_value_t = RenderSettings::default().final_gather)]
-    final_gather: u32,
-    /// Search structure: k nearest in a k-d tree, or a fixed radius in a spatial hash
-    #[arg(long, value_parser = choice(&ESTIMATORS, estimator_name), default_value = "kdtree")]
-    estimator: Estimator,
-    /// Weight of a photon by its distance
-    #[arg(long, value_parser = choice(&KERNELS, kernel_name), default_value = "constant")]
-    kernel: Kernel,
-}
+/// What `--method` says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct MethodChoice(Option<Method>);
 
-const ESTIMATORS: [Estimator; 2] = [Estimator::KdTree, Estimator::Hash];
-const KERNELS: [Kernel; 3] = [Kernel::Constant, Kernel::Cone, Kernel::Epanechnikov];
+fn method_or_auto() -> impl TypedValueParser<Value = MethodChoice> {
+    let auto = PossibleValue::new(AUTO).help("what the scene asks for");
+    let named = Method::ALL.into_iter().map(|m| PossibleValue::new(m.name()).help(m.purpose()));
+    PossibleValuesParser::new(std::iter::once(auto).chain(named))
+        .map(|text| MethodChoice(Method::ALL.into_iter().find(|m| m.name() == text)))
+}
 
 /// Reads one of `all` by its name; help and errors list them.
-fn choice<T: Copy + Send + Sync + 'static>(
+pub(super) fn choice<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
     name: fn(T) -> &'static str,
 ) -> impl TypedValueParser<Value = T> {
@@ -91,9 +71,9 @@ impl SettingsArgs {
         }
     }
 
-    /// Whether the image's size depends on the camera's aspect ratio.
-    pub(super) fn needs_aspect(&self) -> bool {
-        self.width.is_none() || self.height.is_none()
+    /// Whether the scene has a say in the settings.
+    pub(super) fn needs_scene(&self) -> bool {
+        self.width.is_none() || self.height.is_none() || self.method.0.is_none()
     }
 
     /// Checks what can be checked without the scene.
@@ -101,15 +81,34 @@ impl SettingsArgs {
     /// # Errors
     /// Names the first option that makes no sense and what is valid.
     pub(super) fn check(&self) -> Result<(), CliError> {
+        let method = match self.method.0 {
+            Some(method) => method,
+            None => {
+                let candidates = auto::candidates(&self.options.given(), &self.sorted_layers())?;
+                // They share the options that are given, and with them what is valid.
+                candidates.first().copied().unwrap_or(Method::Path)
+            }
+        };
         // A side that follows from the camera may be anything yet.
-        self.sized(self.width.unwrap_or(1), self.height.unwrap_or(1)).map(drop)
+        self.sized(method, self.width.unwrap_or(1), self.height.unwrap_or(1)).map(drop)
     }
 
-    /// The settings, checked; `aspect` is the camera's width / height.
+    /// The method named, or the one that `scene` asks for.
+    ///
+    /// # Errors
+    /// When no method uses all the options that are given.
+    pub(super) fn method(&self, scene: &SceneDescription) -> Result<Choice, CliError> {
+        match self.method.0 {
+            Some(method) => Ok(Choice { method, reason: "asked for".into() }),
+            None => Ok(auto::choose(scene, &self.options.given(), &self.sorted_layers())?),
+        }
+    }
+
+    /// The settings for `method`, checked; `aspect` is the camera's width / height.
     ///
     /// # Errors
     /// Names the first option that makes no sense and what is valid.
-    pub(super) fn settings(&self, aspect: f64) -> Result<RenderSettings, CliError> {
+    pub(super) fn settings(&self, method: Method, aspect: f64) -> Result<RenderSettings, CliError> {
         let across = |height: u32| (f64::from(height) * aspect).round().max(1.0) as u32;
         let down = |width: u32| (f64::from(width) / aspect).round().max(1.0) as u32;
         let (width, height) = match (self.width, self.height) {
@@ -118,33 +117,57 @@ impl SettingsArgs {
             (None, Some(h)) => (across(h), h),
             (None, None) => (across(DEFAULT_HEIGHT), DEFAULT_HEIGHT),
         };
-        self.sized(width, height)
+        self.sized(method, width, height)
     }
 
-    fn sized(&self, width: u32, height: u32) -> Result<RenderSettings, CliError> {
-        let mut layers = self.layers.clone();
-        layers.sort_unstable();
-        let p = &self.photon;
-        let settings = RenderSettings {
-            method: self.method,
+    fn sized(&self, method: Method, width: u32, height: u32) -> Result<RenderSettings, CliError> {
+        method.refuse_unused(&self.options.given())?;
+        let mut settings = RenderSettings {
             width,
             height,
             camera: self.camera(),
-            samples: self.samples,
             seed: self.seed,
-            max_depth: self.max_depth,
-            photons: p.photons,
-            caustic_photons: p.caustic_photons,
-            k: p.k,
-            max_radius: p.max_radius,
-            final_gather: p.final_gather,
-            estimator: p.estimator,
-            kernel: p.kernel,
-            layers,
-            ..RenderSettings::default()
+            layers: self.sorted_layers(),
+            ..RenderSettings::for_method(method)
         };
+        self.options.apply(&mut settings);
         settings.validate()?;
         Ok(settings)
+    }
+
+    fn sorted_layers(&self) -> Vec<Layer> {
+        let mut layers = self.layers.clone();
+        layers.sort_unstable();
+        layers
+    }
+
+    /// The bound on the memory of one round's photons, in bytes, if there is one.
+    pub(super) fn memory(&self) -> Option<u64> {
+        self.options.memory()
+    }
+
+    /// Raises the number of rounds until the photons of one take at most `memory` bytes, as far as `plan` expects.
+    ///
+    /// # Errors
+    /// When the number of rounds is given and too small, or no number is large enough.
+    pub(super) fn fit_memory(&self, settings: &mut RenderSettings, plan: &Plan, memory: u64) -> Result<(), CliError> {
+        let needed = plan.rounds_within(memory);
+        let most = [settings.photons, settings.caustic_photons].into_iter().filter(|&n| n > 0).min();
+        if needed > most.unwrap_or(u64::MAX).min(MAX_ROUNDS.into()) {
+            let limit = bytes(memory);
+            return Err(CliError::Usage(format!(
+                "--memory: {limit} would need {needed} rounds; give more, or emit fewer --photons"
+            )));
+        }
+        let needed = u32::try_from(needed).unwrap_or(MAX_ROUNDS);
+        if self.options.has_rounds() && needed > settings.rounds {
+            let (limit, rounds) = (bytes(memory), settings.rounds);
+            let message =
+                format!("--memory: {limit} needs {needed} rounds, but --rounds is {rounds}; leave one of them out");
+            return Err(CliError::Usage(message));
+        }
+        settings.rounds = settings.rounds.max(needed);
+        Ok(settings.validate()?)
     }
 }
 
@@ -205,14 +228,30 @@ mod tests {
         assert!(count32("5G").unwrap_err().contains("more than"));
     }
 
+    #[derive(clap::Parser)]
+    struct Flags {
+        #[command(flatten)]
+        settings: SettingsArgs,
+    }
+
+    fn flags(args: &str) -> SettingsArgs {
+        <Flags as clap::Parser>::parse_from(std::iter::once("gatherlight").chain(args.split_whitespace())).settings
+    }
+
     #[test]
     fn the_flags_defaults_are_the_library_s() {
-        #[derive(clap::Parser)]
-        struct Flags {
-            #[command(flatten)]
-            settings: SettingsArgs,
+        for method in Method::ALL {
+            let name = method.name();
+            let settings = flags(&format!("--method {name}")).settings(method, 1.0).unwrap();
+            assert_eq!(settings, RenderSettings::for_method(method), "{name}");
         }
-        let flags = <Flags as clap::Parser>::parse_from(["gatherlight"]);
-        assert_eq!(flags.settings.settings(1.0).unwrap(), RenderSettings::default());
+    }
+
+    #[test]
+    fn the_plain_estimate_needs_no_final_gather() {
+        let settings = flags("--direct-from-map --photons 10k --k 50").settings(Method::Photon, 1.0).unwrap();
+        assert!(settings.direct_from_map && settings.final_gather == 0 && settings.k == 50);
+        let error = flags("--direct-from-map --final-gather 4").settings(Method::Photon, 1.0).unwrap_err();
+        assert!(error.to_string().contains("--final-gather: 4 with --direct-from-map"), "{error}");
     }
 }

@@ -8,7 +8,7 @@ use super::limits::LimitArgs;
 use super::output::{Output, OutputArgs};
 use super::preflight::Preflight;
 use super::progress::{MessageArgs, Style};
-use super::scene::SceneArgs;
+use super::scene::{Loaded, SceneArgs};
 use super::watch::{follow, interrupted, outcome};
 use super::{json, print_json, print_result};
 use crate::client::{Client, SubmitRequest};
@@ -52,11 +52,12 @@ pub(super) struct SubmitArgs {
 
 pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let output = args.output.check()?;
-    let (bundle, settings) = args.scene.load()?;
-    let preflight = Preflight::new(&bundle, &settings)?;
+    let loaded = args.scene.load()?;
+    let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(preflight.can_end_early)?;
     args.messages.note(&preflight.text());
+    let Loaded { bundle, settings, .. } = loaded;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
     let request = SubmitRequest { name, bundle, settings, limits };
     args.connection.run(|client| submit(client, args, request, output))

@@ -2,7 +2,7 @@
 //! (no times, hosts or threads), so that equal jobs give equal files.
 
 use crate::photon::MapKind;
-use crate::settings::{CameraChoice, Estimator, Kernel, RenderSettings};
+use crate::settings::{CameraChoice, RenderSettings};
 
 /// Prefix of every attribute Gatherlight writes.
 pub const ATTRIBUTE_PREFIX: &str = "gatherlight:";
@@ -73,53 +73,58 @@ impl ImageMetadata {
     }
 }
 
-/// The settings as the command-line options that give them.
+/// The settings as the command-line options that give them: those that the method uses.
 pub fn settings_text(s: &RenderSettings) -> String {
     let mut text = format!("--method {} --width {} --height {}", s.method.name(), s.width, s.height);
-    let mut add = |option: &str, value: String| {
+    let mut add = |option: &str, value: &str| {
         text.push_str(" --");
         text.push_str(option);
-        text.push(' ');
-        text.push_str(&value);
+        // A switch has no value.
+        if !value.is_empty() {
+            text.push(' ');
+            text.push_str(value);
+        }
     };
     match &s.camera {
         CameraChoice::First => {}
-        CameraChoice::Index(i) => add("camera", i.to_string()),
-        CameraChoice::Name(n) => add("camera", format!("{n:?}")),
+        CameraChoice::Index(i) => add("camera", &i.to_string()),
+        CameraChoice::Name(n) => add("camera", &format!("{n:?}")),
     }
-    add("samples", s.samples.to_string());
-    add("seed", s.seed.to_string());
-    if let Some(depth) = s.max_depth {
-        add("max-depth", depth.to_string());
+    add("seed", &s.seed.to_string());
+    for setting in s.method.options() {
+        if let Some(value) = setting.value(s) {
+            add(setting.name(), &value);
+        }
     }
-    add("photons", s.photons.to_string());
-    add("caustic-photons", s.caustic_photons.to_string());
-    add("k", s.k.to_string());
-    if let Some(radius) = s.max_radius {
-        add("max-radius", radius.to_string());
-    }
-    add("final-gather", s.final_gather.to_string());
-    add("estimator", estimator_name(s.estimator).into());
-    add("kernel", kernel_name(s.kernel).into());
     if !s.layers.is_empty() {
-        add("layers", s.layers.iter().map(|l| l.name()).collect::<Vec<_>>().join(","));
+        add("layers", &s.layers.iter().map(|l| l.name()).collect::<Vec<_>>().join(","));
     }
     text
 }
 
-/// Name of an estimator on the command line.
-pub const fn estimator_name(estimator: Estimator) -> &'static str {
-    match estimator {
-        Estimator::KdTree => "kdtree",
-        Estimator::Hash => "hash",
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{Layer, Method};
 
-/// Name of a kernel on the command line.
-pub const fn kernel_name(kernel: Kernel) -> &'static str {
-    match kernel {
-        Kernel::Constant => "constant",
-        Kernel::Cone => "cone",
-        Kernel::Epanechnikov => "epanechnikov",
+    #[test]
+    fn only_options_that_the_method_uses_are_written() {
+        let path = RenderSettings { max_depth: Some(7), seed: 3, ..RenderSettings::for_method(Method::Path) };
+        assert_eq!(settings_text(&path), "--method path --width 512 --height 512 --seed 3 --samples 64 --max-depth 7");
+        let plain = RenderSettings {
+            direct_from_map: true,
+            final_gather: 0,
+            photons: 10_000,
+            k: 50,
+            camera: CameraChoice::Index(1),
+            layers: vec![Layer::Depth, Layer::Samples],
+            ..RenderSettings::default()
+        };
+        assert_eq!(
+            settings_text(&plain),
+            "--method photon --width 512 --height 512 --camera 1 --seed 0 --samples 32 --photons 10000 \
+             --caustic-photons 1000000 --k 50 --final-gather 0 --estimator kdtree --kernel constant --direct-from-map \
+             --layers depth,samples"
+        );
     }
 }

@@ -19,7 +19,7 @@ pub struct LightDirection {
     pub distance: f32,
     /// Index of the light.
     pub light: usize,
-    /// Probability of choosing it.
+    /// Expected number of samples of it: the probability of choosing it, or 1.
     pub pmf: f32,
     /// From the point to the light.
     pub shadow: Ray,
@@ -31,8 +31,15 @@ impl LightDirection {
     pub fn sample(scene: &Scene, point: &SurfacePoint, numbers: &mut impl Numbers) -> Option<Self> {
         let (u_light, u) = (numbers.next_1d(), numbers.next_2d());
         let (index, pmf) = scene.lights.selector().sample(u_light)?;
+        Self::towards(scene, point, index, pmf, u)
+    }
+
+    /// A point on light `index`, of which `count` samples are expected: the light's probability where one of all is chosen, 1
+    /// where each is asked. [`LightDirection::pdf`] and [`LightDirection::weighted_radiance`] have it in them.
+    #[inline]
+    pub fn towards(scene: &Scene, point: &SurfacePoint, index: usize, count: f32, u: [f32; 2]) -> Option<Self> {
         let s = scene.lights.get(index)?.sample_li(&scene.light_context(), point.position, u)?;
-        let pdf = pmf * s.pdf;
+        let pdf = count * s.pdf;
         if pdf <= 0.0 || !pdf.is_finite() {
             return None;
         }
@@ -49,7 +56,7 @@ impl LightDirection {
             pdf: if s.is_dirac { f32::INFINITY } else { pdf },
             distance: s.distance,
             light: index,
-            pmf,
+            pmf: count,
             shadow,
         })
     }

@@ -20,6 +20,7 @@ pub mod radius;
 pub mod sample;
 pub mod tile;
 pub mod vertex;
+pub mod whitted;
 
 pub use bootstrap::Bootstrap;
 pub use sample::{FirstHit, Sample};

@@ -3,6 +3,8 @@
 //! A camera path follows specular and glossy lobes; at every diffuse lobe it meets, light comes in three parts:
 //! direct light by next-event estimation (with MIS against the final-gather rays), focused light from the caustic map,
 //! and the rest by final-gather rays that read the global map's precomputed irradiance where they meet a diffuse lobe.
+//! With `direct_from_map` the map holds all light instead, and is looked at where the camera path meets a diffuse lobe: the plain
+//! radiance estimate (Jensen 2001, ch. 7). Light that reaches glossy lobes straight from a light is then still estimated.
 //! Which term counts which paths: see [`super`]; every path is counted once, by lobe, without a roughness threshold.
 
 use super::direct::{LightDirection, light_pdf};
@@ -33,6 +35,8 @@ pub struct GatherSettings {
     pub caustic: Gather,
     /// Final-gather rays per diffuse camera vertex; 0 looks at the global map directly.
     pub final_gather: u32,
+    /// The global map holds direct light, too: the diffuse lobe asks no light.
+    pub direct_from_map: bool,
 }
 
 /// One gather pass over one scene and its maps.
@@ -64,6 +68,7 @@ impl GatherSettings {
             global: gather(&maps.global),
             caustic: gather(&maps.caustic),
             final_gather: settings.final_gather,
+            direct_from_map: settings.direct_from_map,
         }
     }
 }
@@ -161,7 +166,8 @@ impl PhotonGather<'_> {
     fn direct_light(&self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
         let Some(light) = LightDirection::sample(self.scene, v.point, sampler) else { return };
         let f = |lobes| v.bsdf.eval(v.wo, light.wi, lobes, TransportMode::Radiance);
-        let (diffuse, glossy) = (f(Lobes::DIFFUSE), f(Lobes::GLOSSY));
+        let diffuse = if self.settings.direct_from_map { Rgb::BLACK } else { f(Lobes::DIFFUSE) };
+        let glossy = f(Lobes::GLOSSY);
         if diffuse.is_black() && glossy.is_black() {
             return;
         }

@@ -37,5 +37,5 @@ pub fn gather_settings(settings: &RenderSettings, global: f32, caustic: f32, rou
         let radius = radius_of_round(first, settings.radius_alpha, round);
         Gather { k: 0, max_radius_squared: radius * radius, kernel: settings.kernel }
     };
-    GatherSettings { global: gather(global), caustic: gather(caustic), final_gather: 0 }
+    GatherSettings { global: gather(global), caustic: gather(caustic), final_gather: 0, direct_from_map: false }
 }

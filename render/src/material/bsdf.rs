@@ -152,6 +152,27 @@ impl Bsdf {
         }
     }
 
+    /// Every direction that the Dirac lobes send `wo` to, each with its whole coefficient (`pdf` is 1): what a ray tree
+    /// follows where [`Bsdf::sample`] would choose.
+    pub fn dirac_samples(&self, wo: Vec3, mode: TransportMode) -> [Option<BsdfSample>; 3] {
+        let Some(layers) = &self.layers else { return [None; 3] };
+        let front = self.front(wo);
+        let n = if wo.dot(self.ns) < 0.0 { -self.ns } else { self.ns };
+        let coat = layers.reflection.filter(|r| r.alpha == 0.0).and_then(|r| {
+            let weight = super::fresnel::schlick(r.f0, r.f90, wo.dot(n));
+            self.dirac(r.sample(wo, n, [0.0; 2]), weight, 1.0, front, false)
+        });
+        let glass = layers.glass.filter(|g| g.alpha == 0.0);
+        // The ends of the unit interval choose reflection and transmission.
+        let [reflected, refracted] = [(0.0, false), (1.0 - f32::EPSILON, true)].map(|(u, transmitted)| {
+            let g = glass?;
+            let s = g.sample(wo, g.interface(wo, self.ns, front), [0.0, 0.0, u], mode)?;
+            let weight = s.weight * (s.choice * g.weight);
+            if s.transmitted == transmitted { self.dirac(s.wi, weight, 1.0, front, transmitted) } else { None }
+        });
+        [coat, reflected, refracted]
+    }
+
     /// Estimate of the albedo towards `wo`, all lobes, transmission included; each channel in [0, 1].
     #[inline]
     pub fn albedo(&self, wo: Vec3) -> Rgb {

@@ -14,7 +14,7 @@ const PACKAGES: [(&str, &str, &[&str]); 5] = [
 
 /// Module of `render` and the modules it may name. `scene::description` is plain data that every importer fills and
 /// every consumer reads; the rest of `scene` stands above materials and lights.
-const RENDER_MODULES: [(&str, &[&str]); 14] = [
+const RENDER_MODULES: [(&str, &[&str]); 15] = [
     ("error", &[]),
     ("settings", &["error"]),
     ("math", &[]),
@@ -28,6 +28,7 @@ const RENDER_MODULES: [(&str, &[&str]); 14] = [
     ("integrator", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon"]),
     ("export", &["error", "settings", "math", "film", "photon", "scene"]),
     ("plan", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon", "integrator"]),
+    ("auto", &["error", "settings", "material", "scene"]),
     ("job", &["*"]),
 ];
 
