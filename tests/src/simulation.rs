@@ -1,12 +1,14 @@
 //! A virtual cluster around the real scheduler: virtual workers, network and clock, all drawn from one seed.
 
+mod checks;
+
+use checks::Counted;
 use gatherlight::schedule::job::Done;
-use gatherlight::schedule::{Command, Event, Outcome, Policy, Scheduler};
+use gatherlight::schedule::{Command, Event, Policy, Scheduler};
 use gatherlight::types::{JobId, Limits};
-use gatherlight_proto::Digest;
-use gatherlight_proto::message::{BlobRef, InputRef, Lease, LeaseId, MapRef, Task, WorkerId};
+use gatherlight_proto::message::{Lease, Task, WorkerId};
 use gatherlight_render::job::Phase;
-use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::photon::MapKind;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::time::Duration;
@@ -147,23 +149,6 @@ struct Virtual {
     computing: Option<Lease>,
     stalled_until: u64,
     busy: u64,
-}
-
-/// One phase of one job: how often each index was accepted, as disjoint intervals.
-#[derive(Default)]
-struct Counted {
-    accepted: BTreeMap<u64, u64>,
-}
-
-impl Counted {
-    fn add(&mut self, range: EmissionRange, seed: u64) {
-        let before = self.accepted.range(..range.end).next_back();
-        assert!(before.is_none_or(|(_, &end)| end <= range.first), "seed {seed}: {range:?} counted twice");
-        self.accepted.insert(range.first, range.end);
-    }
-    fn total(&self) -> u64 {
-        self.accepted.iter().map(|(first, end)| end - first).sum()
-    }
 }
 
 /// The world of one run.
@@ -420,84 +405,6 @@ impl World<'_> {
                 // Whoever is dismissed notices, and comes back.
                 Command::Dismiss { worker, .. } => self.disconnect(*worker),
             }
-        }
-    }
-
-    fn accept(&mut self, lease: LeaseId, completed: Option<&(LeaseId, JobId, usize, EmissionRange)>) {
-        let Some((id, job, phase, range)) = completed else { panic!("seed {}: accepted nothing", self.seed) };
-        assert_eq!(*id, lease, "seed {}", self.seed);
-        self.counted.entry((*job, *phase)).or_default().add(*range, self.seed);
-        let window = self.scheduler.job(*job).map_or(0, |j| j.steps().count());
-        self.report.widest_window = self.report.widest_window.max(window);
-    }
-
-    fn build(&mut self, job: JobId, phase: Phase) {
-        let index = self.phases[job.0 as usize].iter().position(|p| *p == phase);
-        self.assert_complete(job, index.unwrap_or_else(|| panic!("seed {}: {phase:?} is no phase", self.seed)));
-        let digest = Digest([job.0 as u8; 32]);
-        let input = match phase {
-            Phase::Emission { map, .. } => InputRef::Map(MapRef { kind: map, digest, bytes: 1 }),
-            _ => InputRef::Bootstrap(BlobRef { digest, bytes: 1 }),
-        };
-        let number = self.next_entry;
-        self.to_scheduler.insert(number, Event::Built { job, round: phase.round(), input });
-        let at = self.now + 200_000 + self.delay();
-        self.plan(at, Due::Report(number));
-    }
-
-    /// Every index of the phase counted exactly once.
-    fn assert_complete(&self, job: JobId, phase: usize) {
-        let wanted = self.phases[job.0 as usize][phase].units();
-        let counted = self.counted.get(&(job, phase)).map_or(0, Counted::total);
-        assert_eq!(counted, wanted, "seed {}: job {job}, phase {phase}", self.seed);
-    }
-
-    fn assert_round_complete(&self, job: JobId, round: u32) {
-        let phases = self.phases[job.0 as usize].iter().enumerate();
-        phases.filter(|(_, p)| p.round() == round).for_each(|(i, _)| self.assert_complete(job, i));
-    }
-
-    /// The image is made of whole rounds, and of as many units as were counted; of all, unless a limit ended the job.
-    fn assert_image(&mut self, job: JobId) {
-        let Some(&done) = self.made_of.get(&job) else { panic!("seed {}: job {job} was not put together", self.seed) };
-        let (mut rounds, mut units) = (0, None);
-        for (i, phase) in self.phases[job.0 as usize].iter().enumerate() {
-            match *phase {
-                Phase::Gather { round, .. } => rounds = rounds.max(round + 1),
-                Phase::Splat { units: all } => {
-                    units = Some((all, self.counted.get(&(job, i)).map_or(0, Counted::total)))
-                }
-                _ => {}
-            }
-        }
-        if done.ended_by.is_none() {
-            assert_eq!(done.rounds, rounds, "seed {}: job {job}", self.seed);
-            assert!(units.is_none_or(|(all, counted)| all == counted), "seed {}: job {job}, {units:?}", self.seed);
-        }
-        assert!(done.rounds <= rounds && (done.rounds > 0 || units.is_some()), "seed {}: job {job}", self.seed);
-        assert_eq!(done.units, units.map_or(0, |(_, counted)| counted), "seed {}: job {job}", self.seed);
-        assert!(units.is_none() || done.units > 0, "seed {}: job {job} has no unit", self.seed);
-        let gathers = self.phases[job.0 as usize].iter().enumerate();
-        gathers
-            .filter(|(_, p)| matches!(p, Phase::Gather { round, .. } if *round < done.rounds))
-            .for_each(|(i, _)| self.assert_complete(job, i));
-        self.report.cut_off += usize::from(done.ended_by.is_some());
-        self.report.rounds += u64::from(done.rounds);
-    }
-
-    fn ended(&mut self, job: JobId, outcome: &Outcome) {
-        assert!(self.open.remove(&job), "seed {}: job {job} ended twice", self.seed);
-        match outcome {
-            Outcome::Done => self.assert_image(job),
-            Outcome::Failed(reason) => {
-                assert!(self.conditions.may_fail, "seed {}: job {job} failed: {reason}", self.seed);
-                assert!(reason.contains("virtual failure"), "seed {}: {reason}", self.seed);
-                self.report.failed += 1;
-            }
-            Outcome::Cancelled => panic!("seed {}: nobody cancelled job {job}", self.seed),
-        }
-        if self.open.is_empty() {
-            self.report.elapsed = self.now;
         }
     }
 

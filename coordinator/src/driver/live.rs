@@ -208,3 +208,94 @@ impl Served {
 fn new_merger(kind: MapKind, paths: u64) -> Merger {
     Merger::new(kind, EmissionRange { first: 0, end: paths })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest;
+    use gatherlight_proto::message::MapRef;
+    use gatherlight_render::import::SceneBundle;
+    use gatherlight_render::job::PhotonMap;
+    use gatherlight_render::photon::PhotonBatch;
+    use gatherlight_render::settings::{Method, RenderSettings};
+    use std::sync::Mutex;
+
+    /// What is offered and not withdrawn.
+    #[derive(Default)]
+    struct Offers(Mutex<Vec<Digest>>);
+
+    impl Sink for Offers {
+        fn offer_map(&self, digest: Digest, _: PhotonMap) {
+            self.0.lock().unwrap().push(digest);
+        }
+        fn offer_bootstrap(&self, digest: Digest, _: Arc<Bootstrap>) {
+            self.0.lock().unwrap().push(digest);
+        }
+        fn withdraw(&self, digest: Digest) {
+            let mut offers = self.0.lock().unwrap();
+            let place = offers.iter().position(|d| *d == digest).expect("was offered");
+            offers.swap_remove(place);
+        }
+    }
+
+    fn spec(rounds: u32) -> Spec {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes/caustic-ring.glb");
+        let root = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let bundle = SceneBundle { name: "ring".into(), root: root.into(), externals: Vec::new() };
+        let settings =
+            RenderSettings { method: Method::Progressive, width: 32, height: 16, rounds, ..RenderSettings::default() };
+        let prepared = Arc::new(PreparedJob::prepare(&bundle, &settings).unwrap_or_else(|e| panic!("{e}")));
+        let (name, request_key, limits) = (String::new(), [0; 16], Default::default());
+        Spec { name, request_key, manifest: manifest::pack(&bundle).0, settings, limits, prepared }
+    }
+
+    #[test]
+    fn what_is_held_does_not_grow_with_the_rounds() {
+        let (rounds, offers) = (50, Arc::new(Offers::default()));
+        let spec = spec(rounds);
+        let mut live = Live::new(&spec, Some(offers.clone()));
+        let map = PhotonMap::build(
+            MapKind::Global,
+            PhotonBatch {
+                range: EmissionRange { first: 0, end: 1 },
+                positions: Vec::new(),
+                powers: Vec::new(),
+                normals: Vec::new(),
+                directions: None,
+            },
+        );
+        let (grid, channels, mut stats) = (live.grid, live.channels.clone(), JobStats::default());
+        for round in 0..rounds {
+            let (merger, _) = live.take_photons(round, MapKind::Global, 0);
+            assert!(merger.is_complete());
+            // Every third round has the map of the one before, byte for byte.
+            let digest = Digest([(round - u32::from(round % 3 == 2)) as u8; 32]);
+            offers.offer_map(digest, map.clone());
+            let input = InputRef::Map(MapRef { kind: MapKind::Global, digest, bytes: 0 });
+            live.serve(
+                round,
+                Built { input, bytes: Bytes::from_static(b"map"), made: Made::Map { gather_radius: 1.0 } },
+            );
+            let Some(Source::Memory { bytes, sent }) = live.source(digest) else { panic!("is not served") };
+            sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+            for index in 0..grid.len() {
+                let pixels = vec![1.0; (256 * channels.len()) as usize];
+                let tile = Tile { index, pixels, non_finite: 0, rays: 1 };
+                let phase = Phase::Gather { round, tiles: grid.len() };
+                live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
+            }
+            // As the scheduler has it: the next round's map is there before this round is over.
+            if round > 0 {
+                live.retire(round - 1);
+            }
+            assert_eq!((live.served.len(), live.mergers.len(), offers.0.lock().unwrap().len()), (1, 0, 1));
+            assert!(live.source(digest).is_some());
+            assert_eq!(live.sent_bytes(), 3 * u64::from(round + 1));
+        }
+        assert_eq!(stats.rays, u64::from(rounds * grid.len()));
+        let parts = live.parts(Done { rounds, ..Done::default() });
+        assert_eq!(parts.film.complete_rounds(), rounds);
+        drop(live);
+        assert!(offers.0.lock().unwrap().is_empty());
+    }
+}
