@@ -249,28 +249,24 @@ mod tests {
         Spec { name, request_key, manifest: manifest::pack(&bundle).0, settings, limits, prepared }
     }
 
+    fn empty_map() -> PhotonMap {
+        let range = EmissionRange { first: 0, end: 1 };
+        let (positions, powers, normals) = (Vec::new(), Vec::new(), Vec::new());
+        PhotonMap::build(MapKind::Global, PhotonBatch { range, positions, powers, normals, directions: None })
+    }
+
     #[test]
     fn what_is_held_does_not_grow_with_the_rounds() {
         let (rounds, offers) = (50, Arc::new(Offers::default()));
         let spec = spec(rounds);
         let mut live = Live::new(&spec, Some(offers.clone()));
-        let map = PhotonMap::build(
-            MapKind::Global,
-            PhotonBatch {
-                range: EmissionRange { first: 0, end: 1 },
-                positions: Vec::new(),
-                powers: Vec::new(),
-                normals: Vec::new(),
-                directions: None,
-            },
-        );
         let (grid, channels, mut stats) = (live.grid, live.channels.clone(), JobStats::default());
         for round in 0..rounds {
             let (merger, _) = live.take_photons(round, MapKind::Global, 0);
             assert!(merger.is_complete());
             // Every third round has the map of the one before, byte for byte.
             let digest = Digest([(round - u32::from(round % 3 == 2)) as u8; 32]);
-            offers.offer_map(digest, map.clone());
+            offers.offer_map(digest, empty_map());
             let input = InputRef::Map(MapRef { kind: MapKind::Global, digest, bytes: 0 });
             live.serve(
                 round,
@@ -279,7 +275,7 @@ mod tests {
             let Some(Source::Memory { bytes, sent }) = live.source(digest) else { panic!("is not served") };
             sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
             for index in 0..grid.len() {
-                let pixels = vec![1.0; (256 * channels.len()) as usize];
+                let pixels = vec![1.0; 256 * channels.len()];
                 let tile = Tile { index, pixels, non_finite: 0, rays: 1 };
                 let phase = Phase::Gather { round, tiles: grid.len() };
                 live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
