@@ -7,7 +7,7 @@ use gatherlight::server::ServeConfig;
 use gatherlight::types::{JobId, JobState, Limits};
 use gatherlight_proto::version::Versions;
 use gatherlight_render::import::SceneBundle;
-use gatherlight_render::job::PreparedJob;
+use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::settings::{Merge, Method, RenderSettings};
 use gatherlight_tests::cluster::{
     Coordinator, final_state, finished_exr, request, small_leases, small_settings, watch_until,
@@ -182,30 +182,32 @@ async fn a_time_limit_that_could_never_end_the_job_is_refused() {
     assert!(text.contains("time limit") && text.contains("photon"), "{text}");
 }
 
-/// Over the wire, where maps are encoded and fetched: a method of many rounds of maps, and one whose rounds are apart.
+/// Over the wire, where maps and bootstraps are encoded and fetched: for every method.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_job_of_many_rounds_gives_the_image_that_one_process_gives() {
+async fn every_method_gives_the_image_that_one_process_gives() {
     let (_store, coordinator) = start(small_leases()).await;
     let _workers = [coordinator.worker("a", slow(0)), coordinator.worker("b", slow(0))];
     let client = coordinator.client().await;
-    for merge in Merge::ALL {
-        let settings = RenderSettings { method: Method::Progressive, merge, rounds: 12, ..small_settings() };
+    let merges = |m: Method| if m.has_rounds() { &Merge::ALL[..] } else { &Merge::ALL[..1] };
+    for (method, merge) in Method::ALL.iter().flat_map(|&m| merges(m).iter().map(move |&merge| (m, merge))) {
+        let settings = RenderSettings { method, merge, rounds: 12, chains: 24, mutations: 2, ..small_settings() };
         let id = client.submit(&request(&RING, &settings), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
         let exr = finished_exr(&client, id).await;
-        let job = client.get(id).await.unwrap_or_else(|e| panic!("{e}"));
+        let stats = client.get(id).await.unwrap_or_else(|e| panic!("{e}")).stats;
         let single = move || {
             let job = PreparedJob::prepare(&RING, &settings).unwrap_or_else(|e| panic!("{e}"));
-            film_pixels_sha256(&gatherlight_tests::single::render(&job))
+            (job.phases(), film_pixels_sha256(&gatherlight_tests::single::render(&job)))
         };
-        let expected = tokio::task::spawn_blocking(single).await.expect("did not panic");
-        assert_eq!(pixel_sha256(&exr), expected, "{}", merge.name());
-        let shared = merge == Merge::Shared;
-        assert_eq!((job.stats.rounds_done, job.rounds), if shared { (12, 12) } else { (0, 1) });
-        assert_eq!(job.stats.units_done, if shared { 0 } else { 12 });
-        // Every map is sent to both workers at most, and all of them are counted.
-        let maps: u64 = job.stats.maps.iter().map(|m| m.bytes).sum();
-        assert!((maps.min(1)..=2 * maps).contains(&job.stats.broadcast_bytes), "{:?}", job.stats);
-        assert_eq!(maps > 0, shared);
+        let (phases, expected) = tokio::task::spawn_blocking(single).await.expect("did not panic");
+        let name = format!("{} {}", method.name(), merge.name());
+        assert_eq!(pixel_sha256(&exr), expected, "{name}");
+        // What workers read goes to each of them once, at most; where there is anything, some of it has to.
+        let maps: u64 = stats.maps.iter().map(|m| m.bytes).sum();
+        let bootstrap: u64 =
+            phases.iter().map(|p| if let Phase::Bootstrap { paths } = p { 24 + 4 * paths } else { 0 }).sum();
+        let read = maps + bootstrap;
+        assert!((read.min(1)..=2 * read).contains(&stats.broadcast_bytes), "{name}: {read} in {stats:?}");
+        assert_eq!(maps > 0, phases.iter().any(|p| matches!(p, Phase::Emission { .. })), "{name}");
     }
 }
 
