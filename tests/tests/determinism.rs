@@ -2,10 +2,10 @@
 //! way.
 
 use gatherlight::embedded::{Config, render};
-use gatherlight::schedule::Policy;
 use gatherlight::types::JobResult;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
+use gatherlight_tests::cluster::{small_leases, small_settings};
 use gatherlight_tests::{film_sha256, scene};
 use gatherlight_worker::Faults;
 use std::sync::LazyLock;
@@ -14,28 +14,7 @@ use std::time::Duration;
 static RING: LazyLock<SceneBundle> = LazyLock::new(|| scene("caustic-ring.glb"));
 
 fn settings() -> RenderSettings {
-    RenderSettings {
-        width: 72,
-        height: 56,
-        samples: 2,
-        photons: 20_000,
-        caustic_photons: 30_000,
-        k: 20,
-        layers: vec![Layer::Direct, Layer::Caustic, Layer::Variance],
-        ..RenderSettings::default()
-    }
-}
-
-/// Leases of a few milliseconds, so that every worker gets some of every phase.
-fn small_leases() -> Policy {
-    Policy {
-        target_lease: Duration::from_millis(5),
-        probe_paths: 300,
-        min_paths: 100,
-        max_paths: 1_000,
-        max_tiles: 2,
-        ..Policy::default()
-    }
+    RenderSettings { layers: vec![Layer::Direct, Layer::Caustic, Layer::Variance], ..small_settings() }
 }
 
 fn rendered(workers: usize, threads: usize, change: impl FnOnce(&mut Config)) -> JobResult {
