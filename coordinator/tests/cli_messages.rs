@@ -14,6 +14,14 @@ fn a_missing_scene_is_named() {
     run(dir.path(), "compare a.exr b.exr").says(2, &["no file a.exr"]);
 }
 
+/// A file where a directory should be: unreadable for the superuser too.
+#[test]
+fn an_unreadable_scene_is_named_with_the_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("notes"), "only words").unwrap();
+    run(dir.path(), "render notes/lamp.glb -o x.exr").says(2, &["error: cannot read notes/lamp.glb: ", "irectory"]);
+}
+
 #[test]
 fn a_file_that_is_no_scene_is_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -3,7 +3,9 @@
 //! The plan is a pure function of scene and settings; the render follows it, and leaving something out changes no bit
 //! of the image.
 
-use crate::film::{ChannelSet, LightImage, TileGrid};
+mod memory;
+
+use crate::film::{LightImage, TileGrid};
 use crate::integrator::progressive;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
@@ -14,18 +16,6 @@ use crate::settings::{Layer, Method, RenderSettings};
 
 /// Photon paths traced to estimate how many photons a map will hold.
 const PILOT_PATHS: u64 = 4096;
-/// What a process holds besides scene, maps and film: code, threads, network buffers.
-const PROCESS_BYTES: u64 = 11 << 20;
-/// Peak per triangle while a scene is read and its acceleration structure built.
-const SCENE_BYTES_PER_TRIANGLE: u64 = 340;
-/// A photon of the other map meanwhile: its batches, or its encoded form with what the allocator keeps of them.
-const WAITING_BYTES_PER_PHOTON: u64 = 40;
-/// Peak per photon while one map is merged, built and encoded.
-const BUILD_BYTES_PER_PHOTON: u64 = 74;
-/// An encoded photon.
-const ENCODED_BYTES_PER_PHOTON: u64 = 10;
-/// The image, and what its encoding holds besides, in films.
-const FILM_COPIES: f64 = 3.4;
 
 /// One thing the image needs or does not.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -101,58 +91,29 @@ impl Plan {
                 entry(&format!("layer {}", layer.name()), false, "not asked for".into());
             }
         }
-        let mut plan = Plan {
+        let stored = |e: &Option<EmissionPlan>| memory::stored_at_once(e.as_ref(), settings);
+        let memory = memory::predict(scene, settings, stored(&global), stored(&caustic));
+        Plan {
             entries,
             global,
             caustic,
-            worker_bytes: 0,
-            coordinator_bytes: 0,
-            single_process_bytes: 0,
-            broadcast_bytes: 0,
-        };
-        plan.predict_memory(scene, settings);
-        // Workers add to one of their own, and the coordinator to the sum.
-        plan.worker_bytes += light_bytes;
-        plan.coordinator_bytes += light_bytes;
-        plan.single_process_bytes += 2 * light_bytes;
-        plan
-    }
-
-    /// Sums what the phases hold at once; the constants are peaks measured on single maps, films and meshes, and
-    /// `tests/tests/memory.rs` holds the sum against a whole process.
-    fn predict_memory(&mut self, scene: &Scene, settings: &RenderSettings) {
-        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
-        let (global, caustic) = (stored(&self.global), stored(&self.caustic));
-        let photons = global + caustic;
-        let cache = if settings.final_gather > 0 { 4 * global } else { 0 };
-        let maps = PhotonMap::memory_bytes_for(photons as usize, false) + cache;
-        let channels = ChannelSet::new(&settings.layers).len() as u64;
-        let pixels = u64::from(settings.width) * u64::from(settings.height);
-        let film = (FILM_COPIES * (pixels * channels * 4) as f64) as u64;
-        let triangles: u64 = scene.meshes.iter().map(|m| m.triangles.len() as u64).sum();
-        let base = PROCESS_BYTES + triangles * SCENE_BYTES_PER_TRIANGLE + scene.textures.memory_bytes() as u64;
-        let encoded = photons * ENCODED_BYTES_PER_PHOTON;
-        // One map is built while the batches of the other wait.
-        let larger = global.max(caustic);
-        let building = larger * BUILD_BYTES_PER_PHOTON + (photons - larger) * WAITING_BYTES_PER_PHOTON;
-        self.broadcast_bytes = encoded;
-        self.worker_bytes = base + maps + encoded;
-        self.coordinator_bytes = base + building.max(encoded) + film;
-        self.single_process_bytes = base + building.max(maps + encoded) + film;
+            // Workers add to one light image of their own, and the coordinator to the sum.
+            worker_bytes: memory.worker + light_bytes,
+            coordinator_bytes: memory.coordinator + light_bytes,
+            single_process_bytes: memory.single_process + 2 * light_bytes,
+            broadcast_bytes: memory.broadcast,
+        }
     }
 }
 
 impl Plan {
-    /// The least number of rounds with which the photons of one take at most `memory` bytes while their maps are merged and
+    /// The least number of rounds with which the photons of one take at most `limit` bytes while their maps are merged and
     /// built, which is when they take most.
-    pub fn rounds_within(&self, memory: u64) -> u64 {
+    pub fn rounds_within(&self, limit: u64) -> u64 {
         let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
         let (global, caustic) = (stored(&self.global), stored(&self.caustic));
-        let (larger, smaller) = (global.max(caustic), global.min(caustic));
-        let all = larger
-            .saturating_mul(BUILD_BYTES_PER_PHOTON)
-            .saturating_add(smaller.saturating_mul(WAITING_BYTES_PER_PHOTON));
-        all.div_ceil(memory.max(1)).max(1)
+        let all = memory::photon_bytes(global, caustic);
+        all.div_ceil(limit.max(1)).max(1)
     }
 }
 

@@ -1,12 +1,13 @@
 //! Scenes made in code, with known answers.
 
-use gatherlight_render::geometry::Mesh;
+use gatherlight_render::geometry::{Mesh, SurfacePoint};
+use gatherlight_render::material::{Bsdf, Material, Textures};
 use gatherlight_render::math::Rgb;
 use gatherlight_render::scene::description::{
     CameraDescription, InstanceDescription, LightDescription, LightKind, MaterialDescription, Projection,
     SceneDescription,
 };
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 use std::collections::BTreeMap;
 
 /// Assembles a scene part by part.
@@ -163,4 +164,22 @@ pub fn lamp_in_glass() -> SceneDescription {
     s.mesh(cuboid(Vec3::new(-0.35, -0.2, -0.4), Vec3::new(0.5, 0.6, 0.4), false, glass));
     s.camera(DVec3::new(0.0, 0.0, 0.95), DVec3::new(0.0, -0.1, 0.0), 1.4);
     s.scene
+}
+
+/// The BSDF of an untextured material at the origin, where the surface has the geometric normal `ng` and the shading
+/// normal `ns`, both unit.
+pub fn bsdf(d: &MaterialDescription, ng: Vec3, ns: Vec3) -> Bsdf {
+    let point = SurfacePoint {
+        position: Vec3::ZERO,
+        error: Vec3::ZERO,
+        ng,
+        ns,
+        tangent: None,
+        uv: [Vec2::ZERO; 2],
+        color: [1.0; 4],
+        material: 0,
+        instance: 0,
+        triangle: 0,
+    };
+    Material::new(d, 1.0).bsdf(&point, &Textures::default())
 }

@@ -5,6 +5,7 @@ pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
 pub mod processes;
+pub mod references;
 pub mod scenes;
 pub mod simulation;
 pub mod single;

@@ -4,23 +4,35 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+/// Where the programs of this build are: `target/<profile>`.
+fn profile_directory() -> PathBuf {
+    let test = std::env::current_exe().expect("a test is a file");
+    // …/target/<profile>/deps/<test>: programs are two levels up.
+    test.parent().and_then(Path::parent).expect("is in target/<profile>/deps").to_owned()
+}
+
 /// The program `name` of this build. `cargo test --workspace` has built it; a test run of this package alone may not.
 ///
 /// # Panics
 /// When it is not there and cannot be built.
 pub fn program(name: &str) -> PathBuf {
-    let test = std::env::current_exe().expect("a test is a file");
-    // …/target/<profile>/deps/<test>: programs are two levels up.
-    let profile = test.parent().and_then(Path::parent).expect("is in target/<profile>/deps");
+    let path = profile_directory().join(name);
+    if path.is_file() { path } else { built_program(name) }
+}
+
+/// The program `name`, built from the sources as they are now: `cargo bench` builds none.
+///
+/// # Panics
+/// When it cannot be built.
+pub fn built_program(name: &str) -> PathBuf {
+    let profile = profile_directory();
     let path = profile.join(name);
-    if !path.is_file() {
-        let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        build.args(["build", "-p", name, "--bin", name]).current_dir(env!("CARGO_MANIFEST_DIR"));
-        if profile.file_name().is_some_and(|p| p == "release") {
-            build.arg("--release");
-        }
-        assert!(build.status().is_ok_and(|s| s.success()) && path.is_file(), "cannot build {}", path.display());
+    let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    build.args(["build", "-p", name, "--bin", name]).current_dir(env!("CARGO_MANIFEST_DIR"));
+    if profile.file_name().is_some_and(|p| p == "release") {
+        build.arg("--release");
     }
+    assert!(build.status().is_ok_and(|s| s.success()) && path.is_file(), "cannot build {}", path.display());
     path
 }
 

@@ -1,10 +1,10 @@
 //! Energy, reciprocity and extremes of every material, against closed forms.
 
-use gatherlight_render::geometry::SurfacePoint;
-use gatherlight_render::material::{Bsdf, Lobes, Material, Textures, TransportMode};
+use gatherlight_render::material::{Bsdf, Lobes, TransportMode};
 use gatherlight_render::math::{Purpose, Rgb, Stream, warp};
 use gatherlight_render::scene::description::MaterialDescription;
-use glam::{Vec2, Vec3};
+use gatherlight_tests::fixtures;
+use glam::Vec3;
 
 use TransportMode::{Importance, Radiance};
 
@@ -12,19 +12,7 @@ use TransportMode::{Importance, Radiance};
 const SIGMAS: f64 = 4.5;
 
 fn bsdf(d: &MaterialDescription) -> Bsdf {
-    let point = SurfacePoint {
-        position: Vec3::ZERO,
-        error: Vec3::ZERO,
-        ng: Vec3::Z,
-        ns: Vec3::Z,
-        tangent: None,
-        uv: [Vec2::ZERO; 2],
-        color: [1.0; 4],
-        material: 0,
-        instance: 0,
-        triangle: 0,
-    };
-    Material::new(d, 1.0).bsdf(&point, &Textures::default())
+    fixtures::bsdf(d, Vec3::Z, Vec3::Z)
 }
 
 fn towards(cos: f32) -> Vec3 {

@@ -49,19 +49,35 @@ fn used(scene_file: &Path, arguments: &[&str]) -> u64 {
     peak
 }
 
-fn check(name: &str, arguments: &[&str]) {
+/// `threads` of `render`; the plan says the same for any number.
+fn check_threads(name: &str, arguments: &[&str], threads: &str) {
     let file = scene(name);
-    let (stated, used) = (stated(&file, arguments), used(&file, arguments));
+    let with_threads = [arguments, &["--threads", threads]].concat();
+    let (stated, used) = (stated(&file, arguments), used(&file, &with_threads));
     let ratio = used as f64 / stated as f64;
-    println!("{name} {arguments:?}: stated {} MiB, used {} MiB ({ratio:.2})", stated >> 20, used >> 20);
+    println!("{name} {with_threads:?}: stated {} MiB, used {} MiB ({ratio:.2})", stated >> 20, used >> 20);
     assert!((0.75..=1.25).contains(&ratio), "{name}: stated {stated} bytes, used {used} ({ratio:.2} of it)");
 }
 
+/// With one thread per core.
+fn check(name: &str, arguments: &[&str]) {
+    check_threads(name, arguments, "0");
+}
+
+const TINY: [&str; 4] = ["--width", "16", "--samples", "1"];
+
 #[test]
 fn a_job_of_photons_takes_what_the_plan_states() {
-    let tiny = ["--width", "16", "--samples", "1"];
-    check("cornell-diffuse.glb", &[&tiny[..], &["--photons", "2M"]].concat());
-    check("cornell-caustic.glb", &[&tiny[..], &["--photons", "1M", "--caustic-photons", "2M"]].concat());
+    check("cornell-diffuse.glb", &[&TINY[..], &["--photons", "2M"]].concat());
+    check("cornell-caustic.glb", &[&TINY[..], &["--photons", "1M", "--caustic-photons", "2M"]].concat());
+}
+
+/// Few photons, which the allocator keeps in its own heap, and many, whose arrays each go back to the system.
+#[test]
+fn a_job_of_photons_takes_that_with_one_thread_too() {
+    for photons in ["300k", "1M", "8M"] {
+        check_threads("cornell-diffuse.glb", &[&TINY[..], &["--photons", photons]].concat(), "1");
+    }
 }
 
 #[test]

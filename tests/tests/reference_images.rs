@@ -1,68 +1,18 @@
 //! Images of other renderers: `tests/reference/*.exr`, made as its README says.
 
-use gatherlight_render::export::exr_read::decode;
-use gatherlight_render::film::compare::compare;
-use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::math::Rgb;
 use gatherlight_render::settings::{Method, RenderSettings};
-use gatherlight_tests::single;
-use std::path::{Path, PathBuf};
-
-const SIDE: u32 = 256;
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-fn reference(name: &str) -> Vec<Rgb> {
-    let path = root().join("tests/reference").join(name).with_extension("exr");
-    let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    let image = decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!((image.width, image.height), (SIDE as usize, SIDE as usize));
-    image.rgb().unwrap_or_else(|e| panic!("{e}"))
-}
-
-fn bundle(name: &str) -> SceneBundle {
-    let file = format!("{name}.glb");
-    let path = root().join("scenes").join(&file);
-    let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    SceneBundle { name: file, root: bytes.into(), externals: Vec::new() }
-}
+use gatherlight_tests::references::{SIDE, against, block_means, reference};
+use gatherlight_tests::{scene, single};
 
 fn render(name: &str, settings: &RenderSettings) -> Vec<Rgb> {
-    let job = PreparedJob::prepare(&bundle(name), settings).unwrap_or_else(|e| panic!("{e}"));
+    let job = PreparedJob::prepare(&scene(&format!("{name}.glb")), settings).unwrap_or_else(|e| panic!("{e}"));
     single::render(&job).rgb()
 }
 
-/// The image made of the means of blocks of `factor` × `factor` pixels.
-fn block_means(pixels: &[Rgb], factor: u32) -> Vec<Rgb> {
-    let side = SIDE / factor;
-    let weight = 1.0 / (factor * factor) as f32;
-    (0..side * side)
-        .map(|i| {
-            let (x, y) = (i % side * factor, i / side * factor);
-            let block = (0..factor * factor).map(|j| pixels[((y + j / factor) * SIDE + x + j % factor) as usize]);
-            block.sum::<Rgb>() * weight
-        })
-        .collect()
-}
-
-/// Relative MSE and bias.
-struct Errors {
-    relative_mse: f64,
-    bias: f64,
-}
-
-fn against(name: &str, pixels: &[Rgb], reference: &[Rgb]) -> Errors {
-    let side = (pixels.len() as f64).sqrt() as usize;
-    let c = compare((side, side, pixels), (side, side, reference)).unwrap_or_else(|e| panic!("{e}"));
-    let errors = Errors { relative_mse: c.relative_mse, bias: c.bias.unwrap_or(f64::NAN) };
-    println!("{name}: relMSE {:.2e}, bias {:+.3} %", errors.relative_mse, errors.bias * 100.0);
-    errors
-}
-
-/// 64 × 64 pixels see the same as 256 × 256 in blocks of four: 1,024 samples there are 1,024 samples here.
+/// 64 × 64 pixels see the same as 256 × 256 in blocks of four: 1,024 samples there are 1,024 samples here. The whole image:
+/// `cargo bench -p gatherlight-tests --bench reference`.
 #[test]
 fn path_tracing_agrees_in_mean_and_its_error_falls_as_one_over_samples() {
     let truth = block_means(&reference("cornell-diffuse"), 4);

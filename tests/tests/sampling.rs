@@ -1,6 +1,5 @@
 //! Every sampling routine of materials and lights against its pdf, by chi².
 
-use gatherlight_render::geometry::SurfacePoint;
 use gatherlight_render::light::{
     DirectionalLight, EmissiveTriangle, Light, LightContext, Lights, PointLight, SpotLight,
 };
@@ -8,6 +7,7 @@ use gatherlight_render::material::{Bsdf, Lobes, Material, Textures, TransportMod
 use gatherlight_render::math::{Purpose, Rgb, Stream};
 use gatherlight_render::scene::description::MaterialDescription;
 use gatherlight_tests::chi_square::{SphereGrid, chi_square, sidak, test_directions};
+use gatherlight_tests::fixtures::bsdf;
 use glam::{Vec2, Vec3};
 
 /// Probability that any of the tests of this file fails although all is well.
@@ -16,25 +16,6 @@ const SIGNIFICANCE: f64 = 0.01;
 const TESTS: usize = 1000;
 const SAMPLES: usize = 100_000;
 const MODES: [TransportMode; 2] = [TransportMode::Radiance, TransportMode::Importance];
-
-fn point(ng: Vec3, ns: Vec3) -> SurfacePoint {
-    SurfacePoint {
-        position: Vec3::ZERO,
-        error: Vec3::ZERO,
-        ng,
-        ns,
-        tangent: None,
-        uv: [Vec2::ZERO; 2],
-        color: [1.0; 4],
-        material: 0,
-        instance: 0,
-        triangle: 0,
-    }
-}
-
-fn bsdf(d: &MaterialDescription, ng: Vec3, ns: Vec3) -> Bsdf {
-    Material::new(d, 1.0).bsdf(&point(ng, ns), &Textures::default())
-}
 
 /// One of each combination of lobes, rough enough that f32 directions resolve the density well.
 fn materials() -> Vec<(String, MaterialDescription)> {

@@ -18,7 +18,8 @@ pub struct Policy {
     pub max_paths: u64,
     /// Most tiles of a lease.
     pub max_tiles: u64,
-    /// Stored photons a lease should give at most, by what the job's leases gave so far.
+    /// Stored photons a lease should give at most, by what the job's leases gave so far: each takes some 90 bytes on its way
+    /// into the merge, here and at the worker together.
     pub max_lease_photons: u64,
     /// Silence after which a worker is taken for dead: several heartbeats.
     pub dead_after: Duration,
@@ -50,7 +51,7 @@ impl Default for Policy {
             min_paths: 1_024,
             max_paths: 1 << 22,
             max_tiles: 4_096,
-            max_lease_photons: 1 << 21,
+            max_lease_photons: 1 << 19,
             dead_after: Duration::from_secs(10),
             min_deadline: Duration::from_secs(120),
             min_splat_deadline: Duration::from_secs(1_800),

@@ -70,12 +70,17 @@ pub fn merge(kind: MapKind, total: EmissionRange, batches: Vec<PhotonBatch>) -> 
 }
 
 /// Takes batches as they arrive and joins them in path order at the end.
+///
+/// Photons wait in large blocks of memory and not in the arrays they came in: those are freed at once, so that the next
+/// batch is decoded into the same memory, and a block goes back to the system as soon as it is copied. Arrays of all
+/// sizes would stay behind in the allocator, as holes too small for the tree's.
 #[derive(Debug)]
 pub struct Merger {
     kind: MapKind,
     total: EmissionRange,
     /// By first path; disjoint, none empty.
-    batches: BTreeMap<u64, PhotonBatch>,
+    runs: BTreeMap<u64, Run>,
+    blocks: Vec<Block>,
     directions: Option<bool>,
     covered: u64,
     stored: usize,
@@ -84,7 +89,7 @@ pub struct Merger {
 impl Merger {
     /// A merger for the photon paths of `total`.
     pub fn new(kind: MapKind, total: EmissionRange) -> Self {
-        Merger { kind, total, batches: BTreeMap::new(), directions: None, covered: 0, stored: 0 }
+        Merger { kind, total, runs: BTreeMap::new(), blocks: Vec::new(), directions: None, covered: 0, stored: 0 }
     }
     /// Paths covered so far.
     pub fn covered_count(&self) -> u64 {
@@ -115,7 +120,7 @@ impl Merger {
             return Ok(());
         }
         // Held ranges are disjoint, so only the last one that begins before `range.end` can overlap.
-        if let Some(other) = self.batches.range(..range.end).next_back().map(|(_, b)| b.range)
+        if let Some(other) = self.runs.range(..range.end).next_back().map(|(_, r)| r.range)
             && other.end > range.first
         {
             return Err(if other == range {
@@ -127,7 +132,8 @@ impl Merger {
         self.directions = Some(batch.directions.is_some());
         self.covered += range.len();
         self.stored += batch.len();
-        self.batches.insert(range.first, batch);
+        let run = append(&mut self.blocks, &batch);
+        self.runs.insert(range.first, run);
         Ok(())
     }
 
@@ -146,13 +152,13 @@ impl Merger {
         None
     }
 
-    /// The merged batch; each part is freed as soon as it is copied.
+    /// The merged batch; each block is freed as soon as it is copied.
     ///
     /// # Errors
     /// When paths are missing.
     pub fn finish(self) -> Result<PhotonBatch, MergeError> {
         let mut next = self.total.first;
-        for range in self.batches.values().map(|b| b.range) {
+        for range in self.runs.values().map(|r| r.range) {
             if range.first != next {
                 let missing = EmissionRange { first: next, end: range.first };
                 return Err(MergeError::Gap { kind: self.kind, missing });
@@ -163,37 +169,89 @@ impl Merger {
             let missing = EmissionRange { first: next, end: self.total.end };
             return Err(MergeError::Gap { kind: self.kind, missing });
         }
-        Ok(concatenate(self.total, self.directions.unwrap_or(false), self.stored, self.batches))
+        let merged = PhotonBatch::new(self.total, self.directions.unwrap_or(false));
+        Ok(concatenate(merged, self.stored, self.runs, self.blocks))
     }
 }
 
-fn concatenate(
-    total: EmissionRange,
-    directions: bool,
-    stored: usize,
-    mut batches: BTreeMap<u64, PhotonBatch>,
-) -> PhotonBatch {
-    if batches.len() == 1
-        && let Some((_, batch)) = batches.pop_first()
-    {
-        return batch;
+/// Capacity of a block: above 32 MiB, the most that glibc keeps for itself when it is freed; what is not written to takes
+/// no memory.
+const BLOCK_BYTES: usize = 48 << 20;
+
+/// Photons of some batches in order of arrival: of each batch all positions, then powers, normals and directions.
+#[derive(Debug)]
+struct Block {
+    bytes: Vec<u8>,
+    /// Runs that have not been copied out yet.
+    runs: usize,
+}
+
+/// Where the photons of a batch are.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    range: EmissionRange,
+    block: usize,
+    /// Of the run's first byte in its block.
+    offset: usize,
+    photons: usize,
+}
+
+/// Copies a batch to the end of the last block, or of a new one where it does not fit.
+fn append(blocks: &mut Vec<Block>, batch: &PhotonBatch) -> Run {
+    let directions = batch.directions.as_deref().unwrap_or(&[]);
+    let parts: [&[u8]; 4] = [
+        bytemuck::cast_slice(&batch.positions),
+        bytemuck::cast_slice(&batch.powers),
+        bytemuck::cast_slice(&batch.normals),
+        bytemuck::cast_slice(directions),
+    ];
+    let size = parts.iter().map(|p| p.len()).sum::<usize>();
+    if blocks.last().is_none_or(|b| b.bytes.capacity() - b.bytes.len() < size) {
+        blocks.push(Block { bytes: Vec::with_capacity(size.max(BLOCK_BYTES)), runs: 0 });
     }
-    let mut merged = PhotonBatch::new(total, directions);
+    let index = blocks.len() - 1;
+    let block = &mut blocks[index];
+    let offset = block.bytes.len();
+    parts.iter().for_each(|part| block.bytes.extend_from_slice(part));
+    block.runs += 1;
+    Run { range: batch.range, block: index, offset, photons: batch.len() }
+}
+
+/// Fills the empty `merged` with the photons of all `runs`, `stored` in sum.
+fn concatenate(
+    mut merged: PhotonBatch,
+    stored: usize,
+    runs: BTreeMap<u64, Run>,
+    mut blocks: Vec<Block>,
+) -> PhotonBatch {
     merged.positions.reserve_exact(stored);
     merged.powers.reserve_exact(stored);
     merged.normals.reserve_exact(stored);
     if let Some(d) = &mut merged.directions {
         d.reserve_exact(stored);
     }
-    while let Some((_, batch)) = batches.pop_first() {
-        merged.positions.extend_from_slice(&batch.positions);
-        merged.powers.extend_from_slice(&batch.powers);
-        merged.normals.extend_from_slice(&batch.normals);
-        if let (Some(to), Some(from)) = (&mut merged.directions, &batch.directions) {
-            to.extend_from_slice(from);
+    for run in runs.into_values() {
+        let block = &mut blocks[run.block];
+        let mut rest = &block.bytes[run.offset..];
+        rest = take(rest, run.photons, &mut merged.positions);
+        rest = take(rest, run.photons, &mut merged.powers);
+        rest = take(rest, run.photons, &mut merged.normals);
+        if let Some(d) = &mut merged.directions {
+            take(rest, run.photons, d);
+        }
+        block.runs -= 1;
+        if block.runs == 0 {
+            block.bytes = Vec::new();
         }
     }
     merged
+}
+
+/// Appends the first `count` values in `bytes` to `to`, and returns the bytes after them.
+fn take<'a, T: bytemuck::Pod>(bytes: &'a [u8], count: usize, to: &mut Vec<T>) -> &'a [u8] {
+    let (these, rest) = bytes.split_at(count * size_of::<T>());
+    to.extend(these.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
+    rest
 }
 
 #[cfg(test)]
@@ -234,6 +292,25 @@ mod tests {
             }
             assert_eq!(merge(MapKind::Global, total, parts).unwrap(), whole);
         }
+    }
+
+    /// More photons than a block holds, in batches that arrive last first: blocks are left half full and copied backwards.
+    #[test]
+    fn photons_of_several_blocks_are_merged_in_path_order() {
+        let total = range(0, 3);
+        let count = BLOCK_BYTES / 18 / 5 * 3;
+        let part = |path: u64| {
+            let mut b = PhotonBatch::new(range(path, path + 1), false);
+            b.positions = (0..count).map(|i| [path as f32, i as f32, -1.0]).collect();
+            b.powers = (0..count).map(|i| path as u32 * 100 + i as u32).collect();
+            b.normals = (0..count).map(|i| (i as u16) ^ (path as u16)).collect();
+            b
+        };
+        let merged = merge(MapKind::Global, total, vec![part(2), part(1), part(0)]).unwrap();
+        let chained = |of: fn(PhotonBatch) -> Vec<u32>| (0..3).flat_map(|p| of(part(p))).collect::<Vec<_>>();
+        assert!(merged.powers == chained(|b| b.powers));
+        assert!((0..3).all(|p| merged.positions[p * count..][..count] == part(p as u64).positions));
+        assert!((0..3).all(|p| merged.normals[p * count..][..count] == part(p as u64).normals));
     }
 
     #[test]

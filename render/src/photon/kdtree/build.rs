@@ -57,6 +57,7 @@ impl KdTree {
             c
         });
         let order = records.par_iter().with_min_len(PARALLEL_PHOTONS).map(|r| r[3]).collect();
+        drop(records);
         (Self::with_boxes(len, coordinates), order)
     }
 
