@@ -7,6 +7,7 @@ pub mod processes;
 pub mod scenes;
 pub mod simulation;
 pub mod single;
+pub mod welch;
 
 use gatherlight_render::export::decode;
 use sha2::{Digest, Sha256};
