@@ -90,7 +90,7 @@ pub fn upper_gamma(a: f64, x: f64) -> f64 {
 }
 
 /// ln Γ(x) for x > 0 (Stirling's series after shifting x above 10; error below 1e-13).
-fn ln_gamma(x: f64) -> f64 {
+pub(crate) fn ln_gamma(x: f64) -> f64 {
     let (mut x, mut shift) = (x, 0.0);
     while x < 10.0 {
         shift -= x.ln();

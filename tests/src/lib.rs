@@ -10,6 +10,7 @@ pub mod scenes;
 pub mod simulation;
 pub mod single;
 pub mod transport;
+pub mod welch;
 
 use gatherlight_render::export::decode;
 use sha2::{Digest, Sha256};

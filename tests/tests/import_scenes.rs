@@ -49,7 +49,7 @@ fn committed_scenes_are_what_their_generator_writes() {
 #[test]
 fn every_scene_loads_without_a_warning_and_can_be_seen() {
     let files = scene_files();
-    assert_eq!(files.len(), 9, "{files:?}");
+    assert_eq!(files.len(), 14, "{files:?}");
     let mut total = 0;
     for path in files {
         let scene = scene(&path);

@@ -8,6 +8,7 @@ mod placed;
 mod png;
 mod shapes;
 mod textured;
+mod transport;
 mod writer;
 
 /// File name below `scenes/` and contents of every generated file.
@@ -19,6 +20,11 @@ pub fn generated() -> Vec<(&'static str, Vec<u8>)> {
         ("instances.glb", placed::instances()),
         ("orthographic.glb", placed::orthographic()),
         ("textured.glb", textured::textured()),
+        ("rough-gold-ring.glb", transport::rough_gold_ring()),
+        ("hidden-lamp.glb", transport::hidden_lamp()),
+        ("door-ajar.glb", transport::door_ajar()),
+        ("pool.glb", transport::pool()),
+        ("glossy-plates.glb", transport::glossy_plates()),
         ("gltf/box.gltf", gltf),
         ("gltf/box.bin", bin),
         ("gltf/box.png", png),

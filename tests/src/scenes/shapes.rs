@@ -1,5 +1,6 @@
 //! Shapes as vertex arrays.
 
+use gatherlight_render::math::ops;
 use glam::Vec3;
 
 /// A triangle mesh; arrays that are empty are left out of the file.
@@ -42,6 +43,63 @@ impl Shape {
             Side::Back => [[x1, y0, z0], [x0, y0, z0], [x0, y1, z0], [x1, y1, z0]],
             Side::Front => [[x0, y0, z1], [x1, y0, z1], [x1, y1, z1], [x0, y1, z1]],
         })
+    }
+
+    /// A flat board of `half` extents along `across`, along normal × across, and along `normal`, the way its top faces;
+    /// `across` is perpendicular to `normal`, both of unit length.
+    pub(crate) fn board(center: Vec3, across: Vec3, normal: Vec3, half: Vec3) -> Self {
+        let along = normal.cross(across);
+        let mut board = Shape::cuboid((-half).to_array(), half.to_array()).plain();
+        for p in &mut board.positions {
+            // x across, y up, z along: right-handed as along = normal × across says.
+            *p = (center + across * p[0] + normal * p[1] - along * p[2]).to_array();
+        }
+        board
+    }
+
+    /// A ring about +y: every flank of the cross-section, from `[radius, height]` to `[radius, height]` anticlockwise
+    /// in (radius, height), turned around in `segments` steps, smooth along the turn and sharp between flanks.
+    pub(crate) fn ring(flanks: &[[[f32; 2]; 2]], segments: u32) -> Self {
+        let mut ring = Shape::default();
+        for &[[r0, h0], [r1, h1]] in flanks {
+            // The normal of an anticlockwise outline, (Δh, −Δr), points out of the body.
+            let length = glam::Vec2::new(r1 - r0, h1 - h0).length();
+            let (out, up) = ((h1 - h0) / length, (r0 - r1) / length);
+            let first = ring.positions.len() as u32;
+            for i in 0..segments {
+                let angle = 2.0 * ops::PI * i as f32 / segments as f32;
+                let (sin, cos) = (ops::sin(angle), ops::cos(angle));
+                for [r, h] in [[r0, h0], [r1, h1]] {
+                    ring.positions.push([r * cos, h, r * sin]);
+                    ring.normals.push([out * cos, up, out * sin]);
+                }
+                let (a, b) = (first + 2 * i, first + 2 * ((i + 1) % segments));
+                ring.triangles.extend([[a, a + 1, b], [b, a + 1, b + 1]]);
+            }
+        }
+        ring
+    }
+
+    /// A sheet over the square [−half, half]² of x and z, `cells` × `cells` quadrilaterals, facing up: `height` gives y and
+    /// its slopes along x and z at a point.
+    pub(crate) fn sheet(half: f32, cells: u32, height: impl Fn(f32, f32) -> [f32; 3]) -> Self {
+        let mut sheet = Shape::default();
+        let at = |i: u32| half * (2.0 * i as f32 / cells as f32 - 1.0);
+        for j in 0..=cells {
+            for i in 0..=cells {
+                let [y, dx, dz] = height(at(i), at(j));
+                sheet.positions.push([at(i), y, at(j)]);
+                sheet.normals.push(Vec3::new(-dx, 1.0, -dz).normalize().to_array());
+            }
+        }
+        for j in 0..cells {
+            for i in 0..cells {
+                let a = j * (cells + 1) + i;
+                let b = a + cells + 1;
+                sheet.triangles.extend([[a, b, a + 1], [a + 1, b, b + 1]]);
+            }
+        }
+        sheet
     }
 
     /// A sphere of 20 · 4ⁿ triangles with smooth normals.

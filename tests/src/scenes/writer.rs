@@ -79,6 +79,17 @@ impl Writer {
         }))
     }
 
+    /// Appends a glossy coat of index 1.5 over a Lambertian ground.
+    pub(crate) fn coated(&mut self, name: &str, color: [f64; 3], roughness: f64) -> usize {
+        let [r, g, b] = color;
+        self.material(json!({
+            "name": name,
+            "pbrMetallicRoughness": {
+                "baseColorFactor": [r, g, b, 1.0], "metallicFactor": 0.0, "roughnessFactor": roughness
+            }
+        }))
+    }
+
     /// Appends a smooth glass of the given index of refraction.
     pub(crate) fn glass(&mut self, name: &str, ior: f64) -> usize {
         self.material(json!({
@@ -169,10 +180,16 @@ impl Writer {
         self.push("textures", json!({ "source": image, "sampler": sampler }))
     }
 
-    /// Appends a perspective camera and a node that looks from `eye` to `target`, +y up.
+    /// Appends a perspective camera for square pictures and a node that looks from `eye` to `target`, +y up.
     pub(crate) fn camera(&mut self, name: &str, eye: [f64; 3], target: [f64; 3], yfov_degrees: f64) {
+        self.wide_camera(name, eye, target, yfov_degrees, 1.0);
+    }
+
+    /// Appends a perspective camera likewise, for pictures `aspect` times as wide as high.
+    pub(crate) fn wide_camera(&mut self, name: &str, eye: [f64; 3], target: [f64; 3], yfov_degrees: f64, aspect: f64) {
         let yfov = yfov_degrees * (std::f64::consts::PI / 180.0);
-        let lens = json!({ "type": "perspective", "perspective": { "yfov": yfov, "aspectRatio": 1.0, "znear": 0.01 } });
+        let lens = json!({ "yfov": yfov, "aspectRatio": aspect, "znear": 0.01 });
+        let lens = json!({ "type": "perspective", "perspective": lens });
         let camera = self.push("cameras", lens);
         self.root(json!({ "name": name, "camera": camera, "matrix": look_at(eye, target) }));
     }
