@@ -12,10 +12,14 @@ use super::vertex::{Start, Vertex, Walk};
 use crate::film::LightImage;
 use crate::geometry::Ray;
 use crate::material::TransportMode;
-use crate::math::Purpose;
 use crate::math::sobol::Sampler;
+use crate::math::{Purpose, Stream};
 use crate::scene::{Camera, Scene};
 use crate::settings::RenderSettings;
+
+/// Connections that would add less than this share of what a sample has already are subject to roulette. Larger saves few
+/// rays more and adds noise (measured: 0.1 gives the least variance · time on diffuse, glossy and specular rooms).
+const ROULETTE_SHARE: f32 = 0.1;
 
 /// The integrator, with the light sub-path of the sample at hand.
 pub struct Bdpt<'a> {
@@ -44,9 +48,10 @@ impl<'a> Bdpt<'a> {
         let index = id.pixel * u64::from(self.samples) + u64::from(id.sample);
         light.add_rays(u64::from(self.trace_light_path(index)));
         self.look_at_light_path(light);
+        let mut random = Stream::new(self.seed, Purpose::Connection, id.sample, id.pixel);
         let walk = self.walk(TransportMode::Radiance, self.max_depth);
         let start = Start::camera(self.connector.camera, self.connector.light_paths, ray);
-        sample.rays += walk.run(&start, sampler, |v, sampler| self.gather(v, sampler, &mut sample));
+        sample.rays += walk.run(&start, sampler, |v, sampler| self.gather(v, sampler, &mut random, &mut sample));
         sample
     }
 
@@ -81,7 +86,7 @@ impl<'a> Bdpt<'a> {
     }
 
     /// Everything that ends at or connects to the camera vertex `v`.
-    fn gather(&self, v: &Vertex, sampler: &mut Sampler, sample: &mut Sample) {
+    fn gather(&self, v: &Vertex, sampler: &mut Sampler, random: &mut Stream, sample: &mut Sample) {
         if v.length == 1 {
             sample.first = Some(first_hit(&v.point, &v.bsdf, v.wo));
         }
@@ -99,7 +104,8 @@ impl<'a> Bdpt<'a> {
         for l in &self.light_path {
             // Connected, the path has one edge more than its parts.
             if u64::from(v.length) + u64::from(l.length) < u64::from(self.max_depth) {
-                self.add(self.connector.connect(v, l), sample);
+                let connection = self.connector.connect(v, l);
+                self.add(connection.and_then(|c| roulette(c, sample, random)), sample);
             }
         }
     }
@@ -115,4 +121,21 @@ impl<'a> Bdpt<'a> {
     fn unblocked(&self, connection: &Connection) -> Option<Contribution> {
         (!self.connector.scene.occluded(&connection.shadow)).then_some(connection.contribution)
     }
+}
+
+/// Russian roulette before the shadow ray of a connection, by what it could add to what the sample has already: rays that
+/// could not change the sample much are mostly not traced. No bias: those that are traced count for the others.
+fn roulette(mut connection: Connection, sample: &Sample, random: &mut Stream) -> Option<Connection> {
+    let worth = ROULETTE_SHARE * sample.direct.max_component();
+    let gain = connection.contribution.weighted().max_component();
+    // Also where either is not a number.
+    if !(gain < worth) {
+        return Some(connection);
+    }
+    let survival = gain / worth;
+    if random.next_f32() >= survival {
+        return None;
+    }
+    connection.contribution.value *= 1.0 / survival;
+    Some(connection)
 }

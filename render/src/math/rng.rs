@@ -20,6 +20,8 @@ pub enum Purpose {
     Chain = 6,
     /// Bootstrap paths of the Markov chains.
     Bootstrap = 7,
+    /// Roulette over the connections of bidirectional methods.
+    Connection = 8,
     /// Tests.
     Test = 99,
 }
