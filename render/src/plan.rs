@@ -7,6 +7,7 @@ use crate::film::{ChannelSet, LightImage, TileGrid};
 use crate::integrator::progressive;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
+use crate::photon::precomputed::PrecomputedIrradiance;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind};
 use crate::scene::{Camera, Scene};
@@ -124,7 +125,8 @@ impl Plan {
         let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
         let (global, caustic) = (stored(&self.global), stored(&self.caustic));
         let photons = global + caustic;
-        let cache = if settings.final_gather > 0 { 4 * global } else { 0 };
+        let sites = |k| PrecomputedIrradiance::memory_bytes_for(global, k);
+        let cache = if settings.final_gather > 0 && global > 0 { sites(settings.k) } else { 0 };
         let maps = PhotonMap::memory_bytes_for(photons as usize, false) + cache;
         let channels = ChannelSet::new(&settings.layers).len() as u64;
         let pixels = u64::from(settings.width) * u64::from(settings.height);
@@ -283,7 +285,7 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry
             (true, n) => format!("{n} rays for each diffuse camera vertex"),
         };
         entry("final gather", kept, reason);
-        let why = if kept { "computed at photons that are looked at" } else { "there is no final gather" };
+        let why = if kept { "computed at some photons, where looked at" } else { "there is no final gather" };
         entry("precomputed irradiance", kept, why.into());
     }
     let masks = scene.has_alpha_masks;
