@@ -206,10 +206,12 @@ impl PhotonGather<'_> {
             return;
         }
         let share = 1.0 / self.settings.final_gather as f32;
-        for _ in 0..self.settings.final_gather {
+        for ray in 0..self.settings.final_gather {
+            // Stratified together with the rays of all the pixel's samples.
+            let mut sampler = sampler.branch(ray, self.settings.final_gather);
             let u = sampler.next_3d();
             let Some(s) = v.bsdf.sample(v.wo, u, Lobes::DIFFUSE, TransportMode::Radiance) else { continue };
-            self.final_gather(v, &s, throughput * s.weight * share, sampler, sample);
+            self.final_gather(v, &s, throughput * s.weight * share, &mut sampler, sample);
         }
     }
 
