@@ -142,6 +142,16 @@ impl Summary {
         if let (Some(radius), Method::Photon) = (t.gather_radius, s.method) {
             text.push_str(&format!(" · gather radius at most {radius}, k {}", t.k));
         }
+        if t.mutations.total() > 0 {
+            let [large, small] = t.mutations.acceptance();
+            text.push_str(&format!(
+                "\n{} mutations in {} chains: accepted {:.0} % of the large steps, {:.0} % of the small ones",
+                grouped(t.mutations.total()),
+                grouped(u64::from(s.chains)),
+                100.0 * large,
+                100.0 * small
+            ));
+        }
         if let Some(n) = self.noise {
             text.push_str(&format!(" · standard error {:.2} % of the mean", 100.0 * n.relative));
         }
@@ -220,6 +230,12 @@ pub fn stats_json(t: &JobStats) -> Value {
         "maps": maps,
         "rays": t.rays,
         "non_finite": t.non_finite,
+        "mutations": (t.mutations.total() > 0).then(|| json!({
+            "large": t.mutations.large,
+            "large_accepted": t.mutations.large_accepted,
+            "small": t.mutations.small,
+            "small_accepted": t.mutations.small_accepted,
+        })),
         "gather_radius": t.gather_radius,
         "k": t.k,
         "busy_s": t.busy.as_secs_f64(),

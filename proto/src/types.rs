@@ -1,6 +1,7 @@
 //! What clients see of jobs and workers, and what coordinator and workers tell each other.
 
 use crate::digest::Digest;
+use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::MapKind;
 use std::fmt;
 use std::str::FromStr;
@@ -129,6 +130,8 @@ pub struct JobStats {
     pub rays: u64,
     /// Samples and splats left out because they were not finite.
     pub non_finite: u64,
+    /// What Markov chains did.
+    pub mutations: Mutations,
     /// Largest gather radius, in world units, once known: given or chosen from the map's density.
     pub gather_radius: Option<f32>,
     /// Neighbours of a density estimate.

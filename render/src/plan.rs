@@ -244,7 +244,7 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry
             (true, n) => format!("{n} rays for each diffuse camera vertex"),
         };
         entry("final gather", kept, reason);
-        let why = if kept { "computed at photons that are looked at" } else { "there is no final gather" };
+        let why = if kept { "computed at some photons, where looked at" } else { "there is no final gather" };
         entry("precomputed irradiance", kept, why.into());
     }
     let masks = scene.has_alpha_masks;

@@ -255,7 +255,12 @@ fn estimates(c: &mut Criterion, data: &Data, map: &PhotonMap) {
     let queries = data.some(1);
     group.throughput(Throughput::Elements(queries.len() as u64));
     group.bench_function("nearest_compatible", |b| {
-        b.iter(|| queries.iter().filter_map(|&(q, n)| nearest_compatible(map, Vec3::from(q), n, 0.01)).count())
+        b.iter(|| {
+            queries
+                .iter()
+                .filter_map(|&(q, n)| nearest_compatible(map.tree(), map.packed_normals(), Vec3::from(q), n, 0.01))
+                .count()
+        })
     });
     group.finish();
 }

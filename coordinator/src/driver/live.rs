@@ -133,6 +133,7 @@ impl Live {
     fn add_light(&mut self, light: LightImage, stats: &mut JobStats) -> Result<(), String> {
         let parts = self.light.as_ref().ok_or("the method has no light image")?;
         stats.rays = stats.rays.saturating_add(light.rays());
+        stats.mutations.add(light.mutations());
         stats.non_finite = stats.non_finite.saturating_add(light.non_finite());
         parts.sum.put(light);
         Ok(())

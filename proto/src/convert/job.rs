@@ -6,6 +6,7 @@ use crate::error::{WireError, truncated};
 use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, WorkerInfo};
 use crate::wire;
+use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::MapKind;
 use std::time::Duration;
 
@@ -134,6 +135,10 @@ impl From<&JobStats> for wire::JobStats {
                 Some(Limit::Time) => wire::Limit::Time,
             }
             .into(),
+            mutations: (s.mutations != Mutations::default()).then(|| {
+                let Mutations { large, large_accepted, small, small_accepted } = s.mutations;
+                wire::Mutations { large, large_accepted, small, small_accepted }
+            }),
         }
     }
 }
@@ -156,6 +161,12 @@ impl TryFrom<wire::JobStats> for JobStats {
             maps: s.maps.into_iter().map(map).collect::<Result<_, _>>()?,
             rays: s.rays,
             non_finite: s.non_finite,
+            mutations: s.mutations.map_or_else(Mutations::default, |m| Mutations {
+                large: m.large,
+                large_accepted: m.large_accepted,
+                small: m.small,
+                small_accepted: m.small_accepted,
+            }),
             gather_radius: s.gather_radius,
             k: s.k,
             busy: Duration::from_millis(s.busy_ms),

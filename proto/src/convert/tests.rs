@@ -6,6 +6,7 @@ use crate::message::{
 };
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats};
 use crate::wire;
+use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Merge, Method, RenderSettings};
 use prost::Message;
@@ -27,7 +28,7 @@ fn settings() -> RenderSettings {
         final_gather: 10,
         estimator: Estimator::Hash,
         kernel: Kernel::Epanechnikov,
-        direct_from_map: true,
+        direct_from_map: false,
         rounds: 11,
         radius_alpha: 0.5,
         merge: Merge::Independent,
@@ -181,6 +182,7 @@ fn job_snapshots_survive() {
         rounds_done: 7,
         units_done: 8,
         ended_by: Some(Limit::Time),
+        mutations: Mutations { large: 9, large_accepted: 8, small: 7, small_accepted: 6 },
         ..JobStats::default()
     };
     let states = [

@@ -1,7 +1,7 @@
 //! Light images ↔ bytes: what a lease splatted, on its way to the exact sum.
 //!
 //! Layout, little-endian: `GLLI`, version u32, width u32, height u32, planes u32, quantum i32, non_finite u64, rays u64,
-//! block count u32; a table with number u32 and length u32 of each block that something landed on, by number; then the
+//! mutations 4 × u64 (large, accepted, small, accepted), block count u32; a table with number u32 and length u32 of each block that something landed on, by number; then the
 //! blocks. A block is a shift (u8), a bit for each of its pixels (row by row, the least bit of the first byte first), and
 //! for each pixel whose bit is set its three sums without their `shift` least bits, zigzag and in groups of 7 bits, the
 //! least first. Sums are 128 bits wide, but few are longer than a float's 24 bits and some carries, and many pixels are
@@ -15,12 +15,12 @@ use crate::error::WireError;
 use crate::limits::MAX_RESULT_COUNT;
 use bytes::{BufMut, Bytes, BytesMut};
 use gatherlight_render::film::LightImage;
-use gatherlight_render::film::light_image::BLOCK_VALUES;
+use gatherlight_render::film::light_image::{BLOCK_VALUES, Mutations};
 use rayon::prelude::*;
 
 const MAGIC: [u8; 4] = *b"GLLI";
 const VERSION: u32 = 1;
-const HEADER_BYTES: usize = 44;
+const HEADER_BYTES: usize = 76;
 const ENTRY_BYTES: usize = 8;
 const WHAT: &str = "light image";
 /// Pixels of a block.
@@ -47,6 +47,8 @@ pub fn append(image: &LightImage, out: &mut BytesMut) {
     out.put_i32_le(image.quantum());
     out.put_u64_le(image.non_finite());
     out.put_u64_le(image.rays());
+    let m = image.mutations();
+    [m.large, m.large_accepted, m.small, m.small_accepted].into_iter().for_each(|v| out.put_u64_le(v));
     out.put_u32_le(blocks.len() as u32);
     for ((number, _), bytes) in blocks.iter().zip(&encoded) {
         out.put_u32_le(*number);
@@ -90,9 +92,14 @@ pub fn decode(bytes: &[u8], empty: &LightImage) -> Result<LightImage, WireError>
     reader.expect("the height", word()?, empty.grid().height)?;
     reader.expect("the number of planes", word()?, empty.planes())?;
     reader.expect("the quantum", i32::from_le_bytes(reader.array()?), empty.quantum())?;
-    let (non_finite, rays) = (u64::from_le_bytes(reader.array()?), u64::from_le_bytes(reader.array()?));
-    let most = non_finite.max(rays);
-    WireError::check_limit("splats or rays of a light image", most, MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
+    let long = || reader.array().map(u64::from_le_bytes);
+    let (non_finite, rays) = (long()?, long()?);
+    let (large, large_accepted, small, small_accepted) = (long()?, long()?, long()?, long()?);
+    let most = non_finite.max(rays).max(large).max(small);
+    WireError::check_limit("splats, rays or mutations of a light image", most, MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
+    if large_accepted > large || small_accepted > small {
+        return Err(damaged("more mutations accepted than made".into()));
+    }
     let count = u64::from(word()?);
     let there = u64::from(empty.grid().len()) * u64::from(empty.planes());
     if count > there {
@@ -111,6 +118,7 @@ pub fn decode(bytes: &[u8], empty: &LightImage) -> Result<LightImage, WireError>
     }
     image.add_non_finite(non_finite);
     image.add_rays(rays);
+    image.add_mutations(&Mutations { large, large_accepted, small, small_accepted });
     Ok(image)
 }
 
@@ -194,6 +202,7 @@ mod tests {
             image.splat(u32::from(s.next_f32() < 0.5), (u * 40.0) as u32, (v * v * 33.0) as u32, value);
         }
         image.add_rays(77);
+        image.add_mutations(&Mutations { large: 9, large_accepted: 8, small: 70, small_accepted: 6 });
         image
     }
 
@@ -257,7 +266,8 @@ mod tests {
             decode(&forged, &empty()).unwrap_err().to_string()
         };
         assert!(say(24, &u64::MAX.to_le_bytes()).contains("MAX_RESULT_COUNT"));
-        assert!(say(40, &u32::MAX.to_le_bytes()).contains("the image has 18"));
+        assert!(say(48, &7u64.to_le_bytes()).contains("more mutations accepted"));
+        assert!(say(72, &u32::MAX.to_le_bytes()).contains("the image has 18"));
         assert!(say(HEADER_BYTES + 8, &4u32.to_le_bytes()).contains("out of order"));
         assert!(say(HEADER_BYTES + 16, &18u32.to_le_bytes()).contains("outside the image"));
         assert!(say(HEADER_BYTES + 4, &u32::MAX.to_le_bytes()).contains("early"));

@@ -50,10 +50,14 @@ pub struct Mutations {
 impl Mutations {
     /// Adds what other chains did.
     pub fn add(&mut self, other: &Mutations) {
-        self.large += other.large;
-        self.large_accepted += other.large_accepted;
-        self.small += other.small;
-        self.small_accepted += other.small_accepted;
+        self.large = self.large.saturating_add(other.large);
+        self.large_accepted = self.large_accepted.saturating_add(other.large_accepted);
+        self.small = self.small.saturating_add(other.small);
+        self.small_accepted = self.small_accepted.saturating_add(other.small_accepted);
+    }
+    /// Shares of the large and the small steps that were accepted; 0 where there were none.
+    pub fn acceptance(&self) -> [f64; 2] {
+        [(self.large_accepted, self.large), (self.small_accepted, self.small)].map(|(a, n)| a as f64 / n.max(1) as f64)
     }
     /// All steps.
     pub fn total(&self) -> u64 {

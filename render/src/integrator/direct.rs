@@ -6,6 +6,11 @@ use crate::math::{Numbers, Rgb};
 use crate::scene::Scene;
 use glam::Vec3;
 
+/// Spacing of the numbers that samplers give.
+const DIGIT: f64 = 1.0 / 16_777_216.0;
+/// The largest number below 1.
+const BELOW_ONE: f32 = 1.0 - 0.5 * f32::EPSILON;
+
 /// A direction towards a light, not yet tested for occlusion.
 #[derive(Clone, Copy, Debug)]
 pub struct LightDirection {
@@ -29,9 +34,12 @@ impl LightDirection {
     /// Chooses a light and a point on it. Always takes three numbers.
     #[inline]
     pub fn sample(scene: &Scene, point: &SurfacePoint, numbers: &mut impl Numbers) -> Option<Self> {
-        let (u_light, u) = (numbers.next_1d(), numbers.next_2d());
-        let (index, pmf) = scene.lights.selector().sample(u_light)?;
-        Self::towards(scene, point, index, pmf, u)
+        let (u_fine, u) = (numbers.next_1d(), numbers.next_2d());
+        // One number chooses the light and the place on it, so that the samples of each light stay stratified in both their
+        // dimensions; the third number only fills the digits that the choice among many lights uses up.
+        let u_both = f64::from(u[0]) + f64::from(u_fine) * DIGIT;
+        let (index, pmf, rest) = scene.lights.selector().sample_with_rest(u_both)?;
+        Self::towards(scene, point, index, pmf, [(rest as f32).min(BELOW_ONE), u[1]])
     }
 
     /// A point on light `index`, of which `count` samples are expected: the light's probability where one of all is chosen, 1

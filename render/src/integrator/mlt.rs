@@ -157,13 +157,13 @@ impl<'a> Mlt<'a> {
         let strategies = if length == 1 { 1 } else { length + 1 };
         let s = ((u_strategy * strategies as f32) as u32).min(strategies - 1);
         let t = length + 1 - s;
-        let mut path = if t == 1 { self.lens(space, s) } else { self.from_camera(space, s, t) };
+        let mut path = if t == 1 { self.path_of_light(space, s) } else { self.path_of_camera(space, s, t) };
         path.value *= (f64::from(strategies) / pmf) as f32;
         path
     }
 
     /// t = 1: the light sub-path's end seen by the camera.
-    fn lens(&self, space: &mut PrimarySpace, s: u32) -> Path {
+    fn path_of_light(&self, space: &mut PrimarySpace, s: u32) -> Path {
         let (end, rays) = self.light_vertex(space, s);
         let mut path = Path { rays, ..Path::default() };
         if let Some((place, connection)) = end.and_then(|v| self.connector.lens(&v)) {
@@ -175,7 +175,7 @@ impl<'a> Mlt<'a> {
     }
 
     /// t ≥ 2: the camera sub-path's end on a light (s = 0), lit by one (s = 1), or joined to a light sub-path (s ≥ 2).
-    fn from_camera(&self, space: &mut PrimarySpace, s: u32, t: u32) -> Path {
+    fn path_of_camera(&self, space: &mut PrimarySpace, s: u32, t: u32) -> Path {
         let (width, height) = (self.settings.width as f32, self.settings.height as f32);
         space.open(Lane::Camera);
         let [u, v] = space.next_2d();

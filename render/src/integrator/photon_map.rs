@@ -61,9 +61,6 @@ impl GatherSettings {
             }
             Gather { k: settings.k, max_radius_squared: radius * radius, kernel: settings.kernel }
         };
-        if let Some(map) = maps.global.as_ref().filter(|_| settings.final_gather > 0) {
-            map.enable_irradiance_cache();
-        }
         GatherSettings {
             global: gather(&maps.global),
             caustic: gather(&maps.caustic),
@@ -209,10 +206,12 @@ impl PhotonGather<'_> {
             return;
         }
         let share = 1.0 / self.settings.final_gather as f32;
-        for _ in 0..self.settings.final_gather {
+        for ray in 0..self.settings.final_gather {
+            // Stratified together with the rays of all the pixel's samples.
+            let mut sampler = sampler.branch(ray, self.settings.final_gather);
             let u = sampler.next_3d();
             let Some(s) = v.bsdf.sample(v.wo, u, Lobes::DIFFUSE, TransportMode::Radiance) else { continue };
-            self.final_gather(v, &s, throughput * s.weight * share, sampler, sample);
+            self.final_gather(v, &s, throughput * s.weight * share, &mut sampler, sample);
         }
     }
 
@@ -268,14 +267,11 @@ impl PhotonGather<'_> {
         estimate::irradiance_into(map, position, normal, gather, &mut self.buffer).irradiance
     }
 
-    /// Irradiance at the nearest photon of the surface (Christensen 1999), computed when first asked for.
+    /// Irradiance precomputed near the point (Christensen 1999).
     fn precomputed(&mut self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
         let gather = &self.settings.global;
         let normal = facing(point.ng, wo);
-        match estimate::nearest_compatible(map, point.position, normal, gather.max_radius_squared) {
-            Some(index) => map.irradiance_at_photon(index, gather, &mut self.buffer),
-            None => Rgb::BLACK,
-        }
+        map.precomputed(gather.k).irradiance(map, point.position, normal, gather, &mut self.buffer)
     }
 }
 

@@ -22,6 +22,11 @@ impl LightSelector {
     pub fn sample(&self, u: f32) -> Option<(usize, f32)> {
         self.table.as_ref().map(|t| t.sample(u))
     }
+    /// A light, its probability, and what is left of `u` ([`AliasTable::sample_with_rest`]); `None` if nothing emits.
+    #[inline]
+    pub fn sample_with_rest(&self, u: f64) -> Option<(usize, f32, f64)> {
+        self.table.as_ref().map(|t| t.sample_with_rest(u))
+    }
     /// Probability of light `i`.
     #[inline]
     pub fn pmf(&self, i: usize) -> f32 {

@@ -52,6 +52,21 @@ impl AliasTable {
     pub fn pmf(&self, i: usize) -> f32 {
         self.pmf[i]
     }
+    /// Index drawn by `u` in [0, 1), its probability, and what is left of `u`: uniform in [0, 1) given the index, so that the
+    /// stratification of `u` is handed on to what is drawn next.
+    #[inline]
+    pub fn sample_with_rest(&self, u: f64) -> (usize, f32, f64) {
+        let x = u * self.bins.len() as f64;
+        let bin = (x as usize).min(self.bins.len() - 1);
+        let (threshold, alias) = self.bins[bin];
+        let (threshold, fraction) = (f64::from(threshold), (x - bin as f64).min(1.0));
+        let (i, rest) = if fraction < threshold {
+            (bin, fraction / threshold)
+        } else {
+            (alias as usize, (fraction - threshold) / (1.0 - threshold))
+        };
+        (i, self.pmf[i], rest)
+    }
     /// Index drawn by `u` in [0, 1), and its probability.
     #[inline]
     pub fn sample(&self, u: f32) -> (usize, f32) {
@@ -82,5 +97,25 @@ mod tests {
         }
         assert!(AliasTable::new(&[0.0, f64::NAN]).is_none());
         assert!(AliasTable::new(&[]).is_none());
+    }
+
+    #[test]
+    fn what_is_left_of_the_number_is_uniform_for_every_index() {
+        let weights = [1.0, 0.0, 5.0, 2.5, 0.3];
+        let table = AliasTable::new(&weights).unwrap();
+        let (n, bins) = (400_000, 8);
+        let mut counts = [[0u32; 8]; 5];
+        for k in 0..n {
+            let (i, pmf, rest) = table.sample_with_rest((f64::from(k) + 0.5) / f64::from(n));
+            assert!((0.0..=1.0).contains(&rest));
+            assert_eq!(pmf, table.pmf(i));
+            counts[i][((rest * f64::from(bins)) as usize).min(7)] += 1;
+        }
+        for (i, row) in counts.iter().enumerate() {
+            // An even grid of numbers: each piece of a bin's range is off by at most one count at either end, and at most five
+            // bins lead to an index.
+            let expect = weights[i] / 8.8 * f64::from(n) / f64::from(bins);
+            assert!(row.iter().all(|&c| (f64::from(c) - expect).abs() <= 11.0), "{i}: {row:?}, not {expect}");
+        }
     }
 }

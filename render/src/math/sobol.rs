@@ -27,6 +27,16 @@ impl Sampler {
         Sampler { sequence_seed, index: index as u32, pair: 0, tail: Stream::from_key(sequence_seed, index) }
     }
 
+    /// The numbers of part `part` < `parts` of this sample, where it splits into so many. The parts of all samples of the
+    /// sequence are stratified together, as `parts` times as many samples are; they are independent of the sample's own numbers.
+    #[inline]
+    pub fn branch(&self, part: u32, parts: u32) -> Self {
+        let index = u64::from(self.index) * u64::from(parts) + u64::from(part);
+        let own = self.sequence_seed.wrapping_add(mix64(u64::from(self.pair) << 32 | u64::from(parts)));
+        let sequence_seed = mix64(own.wrapping_add((index >> 32) << 48));
+        Sampler { sequence_seed, index: index as u32, pair: 0, tail: Stream::from_key(sequence_seed, index) }
+    }
+
     /// One number in [0, 1).
     #[inline]
     pub fn next_1d(&mut self) -> f32 {
@@ -139,6 +149,35 @@ mod tests {
                 assert!(seen.iter().all(|&c| c == 1), "pair {pair}, {nx} × {ny}");
             }
         }
+    }
+
+    #[test]
+    fn parts_of_samples_are_a_net_together() {
+        // 16 samples with 4 parts each: every elementary interval holds one of the 64 points, in every pair of dimensions.
+        for pair in 0..3 {
+            let points: Vec<[f32; 2]> = (0..64)
+                .map(|i| {
+                    let mut s = Sampler::new(5, Purpose::Test, 0, 18, i / 4);
+                    s.next_3d();
+                    let mut part = s.branch((i % 4) as u32, 4);
+                    for _ in 0..pair {
+                        part.next_2d();
+                    }
+                    part.next_2d()
+                })
+                .collect();
+            for log_x in 0..=6 {
+                let (nx, ny) = (1usize << log_x, 64usize >> log_x);
+                let mut seen = vec![0; 64];
+                for p in &points {
+                    seen[(p[0] * nx as f32) as usize * ny + (p[1] * ny as f32) as usize] += 1;
+                }
+                assert!(seen.iter().all(|&c| c == 1), "pair {pair}, {nx} × {ny}");
+            }
+        }
+        // Indices beyond 32 bits begin another sequence instead of repeating one.
+        let of = |index: u64| Sampler::new(5, Purpose::Test, 0, 18, index).branch(0, 1 << 16).next_2d();
+        assert_ne!(of(0), of(1 << 16));
     }
 
     #[test]

@@ -11,6 +11,7 @@
 //! On a sphere the part of the surface within chord d has area π d² exactly (Archimedes), where a projection onto the tangent
 //! disc would be wrong by the curvature: so the estimate stays right on both, for every kernel.
 
+use super::kdtree::KdTree;
 use super::kernel::Kernel;
 use super::map::PhotonMap;
 use super::pack::decode_normal;
@@ -56,7 +57,9 @@ pub struct Estimate {
 
 /// Tells photons on the surface of one query point from others.
 struct SameSurface<'a> {
-    map: &'a PhotonMap,
+    tree: &'a KdTree,
+    /// Packed normals in tree order.
+    normals: &'a [u16],
     position: Vec3,
     normal: Vec3,
     /// What follows from the normal met last: neighbours mostly share it.
@@ -103,18 +106,21 @@ impl NormalTest {
 
 impl<'a> SameSurface<'a> {
     fn new(map: &'a PhotonMap, position: Vec3, normal: Vec3) -> Self {
-        SameSurface { map, position, normal, last: Cell::new(NormalTest::NONE) }
+        Self::among(map.tree(), map.packed_normals(), position, normal)
+    }
+    fn among(tree: &'a KdTree, normals: &'a [u16], position: Vec3, normal: Vec3) -> Self {
+        SameSurface { tree, normals, position, normal, last: Cell::new(NormalTest::NONE) }
     }
 
     #[inline(always)]
     fn accepts(&self, index: u32) -> bool {
-        let code = self.map.packed_normals()[index as usize];
+        let code = self.normals[index as usize];
         let mut test = self.last.get();
         if test.code != u32::from(code) {
             test = NormalTest::new(code, self.normal);
             self.last.set(test);
         }
-        let chord = self.map.position(index) - self.position;
+        let chord = Vec3::from_array(self.tree.position(index)) - self.position;
         let height = chord.dot(test.sum);
         test.agrees && height * height <= (test.slope_squared * chord.length_squared()).max(test.rounding_squared)
     }
@@ -162,10 +168,17 @@ pub fn irradiance_within(
     fixed(map, position, normal, radius_squared, kernel, |_| 1.0)
 }
 
-/// The nearest photon of the surface through `position` with normal `normal`, for looking up cached irradiance.
-pub fn nearest_compatible(map: &PhotonMap, position: Vec3, normal: Vec3, max_radius_squared: f32) -> Option<u32> {
-    let surface = SameSurface::new(map, position, normal);
-    map.tree().nearest(position.to_array(), max_radius_squared, |i| surface.accepts(i)).map(|n| n.index)
+/// The photon of `tree` (packed normals `normals`, in tree order) nearest to `position` on the surface through it with normal
+/// `normal`, for looking up precomputed irradiance.
+pub fn nearest_compatible(
+    tree: &KdTree,
+    normals: &[u16],
+    position: Vec3,
+    normal: Vec3,
+    max_radius_squared: f32,
+) -> Option<u32> {
+    let surface = SameSurface::among(tree, normals, position, normal);
+    tree.nearest(position.to_array(), max_radius_squared, |i| surface.accepts(i)).map(|n| n.index)
 }
 
 /// Sums weighted powers in double precision: a million equal photons lose nothing.

@@ -1,16 +1,15 @@
 //! The photon map: merged photons in tree order, as it is built once, broadcast, and searched by every worker.
 
-use super::estimate::{Gather, choose_max_radius, irradiance_into};
+use super::estimate::choose_max_radius;
 use super::grid::HashGrid;
 use super::kdtree::{KdTree, MAX_TREE_PHOTONS};
-use super::kernel::Kernel;
-use super::pack::{decode_direction, decode_normal, decode_rgbe, encode_rgbe};
-use super::query::{Neighbour, NeighbourBuffer, PhotonSearch};
+use super::pack::{decode_direction, decode_normal, decode_rgbe};
+use super::precomputed::PrecomputedIrradiance;
+use super::query::{Neighbour, PhotonSearch};
 use super::{EmissionRange, MapKind, PhotonBatch};
 use crate::math::Rgb;
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};
 
 /// The maps a gather pass reads.
@@ -41,16 +40,13 @@ pub struct PhotonMap {
     powers: Vec<u32>,
     normals: Vec<u16>,
     directions: Option<Vec<u32>>,
-    /// Irradiance at each photon as RGBE; 0 where nobody has looked yet, [`BLACK_IRRADIANCE`] for none.
-    irradiance: OnceLock<Vec<AtomicU32>>,
+    /// For final gather.
+    precomputed: OnceLock<PrecomputedIrradiance>,
     /// For fixed-radius estimates, with the index in tree order of each of its photons.
     grid: OnceLock<(HashGrid, Vec<u32>)>,
     /// [`choose_max_radius`] for the k it was first asked for.
     default_max_radius: OnceLock<(u32, f32)>,
 }
-
-/// Marks an irradiance of zero in the cache: decodes to black, and no power encodes to it.
-const BLACK_IRRADIANCE: u32 = 1 << 24;
 
 /// A photon map as it travels: arrays in tree order, one entry a photon.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,7 +114,7 @@ impl PhotonMap {
             powers: permute(powers, &order),
             normals: permute(normals, &order),
             directions: directions.map(|d| permute(d, &order)),
-            irradiance: OnceLock::new(),
+            precomputed: OnceLock::new(),
             grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
         }
@@ -162,7 +158,7 @@ impl PhotonMap {
             powers,
             normals,
             directions,
-            irradiance: OnceLock::new(),
+            precomputed: OnceLock::new(),
             grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
         })
@@ -245,11 +241,12 @@ impl PhotonMap {
 
     /// Memory the map holds, its tree and caches included.
     pub fn memory_bytes(&self) -> u64 {
-        let cache = self.irradiance.get().map_or(0, |c| 4 * c.len() as u64);
+        let cache = self.precomputed.get().map_or(0, PrecomputedIrradiance::memory_bytes);
         let grid = self.grid.get().map_or(0, |(grid, order)| grid.memory_bytes() + 4 * order.len() as u64);
         Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache + grid
     }
-    /// Memory of a map of `count` photons, without the irradiance cache (4 bytes a photon) and the hash grid (18).
+    /// Memory of a map of `count` photons, without the precomputed irradiance ([`PrecomputedIrradiance::memory_bytes_for`]) and
+    /// the hash grid (18 bytes a photon).
     pub fn memory_bytes_for(count: usize, directions: bool) -> u64 {
         let payload = size_of::<u32>() + size_of::<u16>() + if directions { size_of::<u32>() } else { 0 };
         KdTree::memory_bytes_for(count) + (count * payload) as u64
@@ -295,40 +292,9 @@ impl PhotonMap {
         }
     }
 
-    /// Allocates the cache of [`Self::irradiance_at_photon`], 4 bytes a photon.
-    pub fn enable_irradiance_cache(&self) {
-        self.irradiance.get_or_init(|| (0..self.stored_count()).map(|_| AtomicU32::new(0)).collect());
-    }
-
-    /// Irradiance at photon `index` on its side of the surface (Christensen 1999, "precomputed irradiance"), computed when
-    /// first asked for and remembered if the cache is enabled.
-    ///
-    /// Asked for at the photon nearest to a point, this is an unbiased estimate for the point: no photon lies within the
-    /// distance ρ between the two, and that hole, whose area is exponential like the gap to one more photon, makes up for the
-    /// photon that is known to be there. So the photon itself counts among the k; and because it sits at the centre, where
-    /// other kernels would overrate it, the kernel is the constant one whatever `gather` says.
-    ///
-    /// The value is rounded to RGBE either way, so that it does not depend on the cache. All calls on one map must pass
-    /// equal `gather` when the cache is enabled: it holds one value a photon.
-    pub fn irradiance_at_photon(&self, index: u32, gather: &Gather, buffer: &mut NeighbourBuffer) -> Rgb {
-        let slot = self.irradiance.get().map(|cache| &cache[index as usize]);
-        if let Some(slot) = slot {
-            let code = slot.load(Ordering::Relaxed);
-            if code != 0 {
-                return decode_rgbe(code);
-            }
-        }
-        let gather = Gather { kernel: Kernel::Constant, ..*gather };
-        let estimate = irradiance_into(self, self.position(index), self.normal(index), &gather, buffer);
-        let code = match encode_rgbe(estimate.irradiance) {
-            0 => BLACK_IRRADIANCE,
-            code => code,
-        };
-        if let Some(slot) = slot {
-            // Another thread may do the same work and store the same bits.
-            slot.store(code, Ordering::Relaxed);
-        }
-        decode_rgbe(code)
+    /// What final gather reads at its hits; made when first asked for, on the calling thread. One map is asked for one k only.
+    pub fn precomputed(&self, k: u32) -> &PrecomputedIrradiance {
+        self.precomputed.get_or_init(|| PrecomputedIrradiance::new(self, k))
     }
 }
 

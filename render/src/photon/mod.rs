@@ -9,6 +9,7 @@ pub mod kernel;
 pub mod map;
 pub mod merge;
 pub mod pack;
+pub mod precomputed;
 pub mod query;
 pub mod range;
 #[cfg(test)]

@@ -6,6 +6,7 @@
 use super::EmissionPlan;
 use crate::film::ChannelSet;
 use crate::photon::map::PhotonMap;
+use crate::photon::precomputed::PrecomputedIrradiance;
 use crate::scene::Scene;
 use crate::settings::RenderSettings;
 
@@ -26,8 +27,6 @@ const TRAVELLING_BYTES_PER_PHOTON: u64 = 50;
 const TRAVELLING_PHOTONS: u64 = 1 << 20;
 /// An encoded photon.
 const ENCODED_BYTES_PER_PHOTON: u64 = 10;
-/// An entry of the irradiance cache.
-const CACHE_BYTES_PER_PHOTON: u64 = 4;
 /// The image, and what its encoding holds besides, in films.
 const FILM_COPIES: f64 = 3.4;
 
@@ -46,7 +45,8 @@ pub(super) struct Memory {
 /// Predicts from the maps' emission passes.
 pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, caustic: u64) -> Memory {
     let photons = global + caustic;
-    let cache = if settings.final_gather > 0 { CACHE_BYTES_PER_PHOTON * global } else { 0 };
+    let gathers = settings.final_gather > 0 && global > 0;
+    let cache = if gathers { PrecomputedIrradiance::memory_bytes_for(global, settings.k) } else { 0 };
     let maps = PhotonMap::memory_bytes_for(photons as usize, false) + cache;
     let encoded = photons * ENCODED_BYTES_PER_PHOTON;
     let travelling = photons.min(TRAVELLING_PHOTONS) * TRAVELLING_BYTES_PER_PHOTON;

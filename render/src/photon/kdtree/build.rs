@@ -3,11 +3,20 @@
 use super::{KdTree, LEAF_PHOTONS, MAX_TREE_PHOTONS, WideNode};
 use rayon::prelude::*;
 
-/// Nodes with fewer photons are built by one thread.
-const PARALLEL_PHOTONS: usize = 1 << 15;
+/// How much work is worth a thread of its own; of no influence on the result.
+#[derive(Clone, Copy)]
+struct Grain {
+    /// Nodes with fewer photons are built by one thread.
+    photons: usize,
+    /// Least number of nodes whose boxes a thread computes.
+    nodes: usize,
+}
 
-/// Least number of nodes whose boxes a thread computes.
-const PARALLEL_NODES: usize = 1 << 11;
+impl Grain {
+    const PARALLEL: Grain = Grain { photons: 1 << 15, nodes: 1 << 11 };
+    /// All on the calling thread, which meanwhile takes up no other work of its pool.
+    const ONE_THREAD: Grain = Grain { photons: usize::MAX, nodes: usize::MAX };
+}
 
 /// A photon while sorting: coordinates and canonical index, 16 bytes.
 type Record = [u32; 4];
@@ -39,26 +48,36 @@ impl KdTree {
     /// # Panics
     /// With more than [`MAX_TREE_PHOTONS`].
     pub fn build(positions: Vec<[f32; 3]>) -> (KdTree, Vec<u32>) {
+        Self::build_by(positions, Grain::PARALLEL)
+    }
+
+    /// [`KdTree::build`] on the calling thread alone: for what is built under a lock, where a thread that waited for others
+    /// could take up work that waits for the lock.
+    pub(in crate::photon) fn build_on_one_thread(positions: Vec<[f32; 3]>) -> (KdTree, Vec<u32>) {
+        Self::build_by(positions, Grain::ONE_THREAD)
+    }
+
+    fn build_by(positions: Vec<[f32; 3]>, grain: Grain) -> (KdTree, Vec<u32>) {
         let len = positions.len();
         assert!(len <= MAX_TREE_PHOTONS, "{len} photons: a tree holds at most {MAX_TREE_PHOTONS}");
         let mut records: Vec<Record> = positions
             .par_iter()
-            .with_min_len(PARALLEL_PHOTONS)
+            .with_min_len(grain.photons)
             .enumerate()
             .map(|(i, p)| [ordered(p[0]), ordered(p[1]), ordered(p[2]), i as u32])
             .collect();
         drop(positions);
         let levels = levels_for(len);
-        split(&mut records, 0, 0, levels, len as u64);
+        split(&mut records, 0, 0, levels, len as u64, grain);
         let coordinates = [0, 1, 2].map(|a| {
             let mut c = Vec::with_capacity(len + LEAF_PHOTONS);
-            c.par_extend(records.par_iter().with_min_len(PARALLEL_PHOTONS).map(|r| unordered(r[a])));
+            c.par_extend(records.par_iter().with_min_len(grain.photons).map(|r| unordered(r[a])));
             c.resize(len + LEAF_PHOTONS, 0.0);
             c
         });
-        let order = records.par_iter().with_min_len(PARALLEL_PHOTONS).map(|r| r[3]).collect();
+        let order = records.par_iter().with_min_len(grain.photons).map(|r| r[3]).collect();
         drop(records);
-        (Self::with_boxes(len, coordinates), order)
+        (Self::with_boxes(len, coordinates, grain), order)
     }
 
     /// The tree over photons that are already in tree order (`coordinates` by axis, of equal length), in linear time.
@@ -75,10 +94,10 @@ impl KdTree {
             c.reserve_exact(LEAF_PHOTONS);
             c.resize(len + LEAF_PHOTONS, 0.0);
         }
-        Self::with_boxes(len, coordinates)
+        Self::with_boxes(len, coordinates, Grain::PARALLEL)
     }
 
-    fn with_boxes(len: usize, coordinates: [Vec<f32>; 3]) -> KdTree {
+    fn with_boxes(len: usize, coordinates: [Vec<f32>; 3], grain: Grain) -> KdTree {
         let levels = levels_for(len);
         let mut tree = KdTree { len, levels, coordinates, nodes: Vec::new() };
         if levels == 0 {
@@ -86,7 +105,7 @@ impl KdTree {
         }
         let mut nodes = vec![WideNode::EMPTY; node_count(levels)];
         let lowest = levels.saturating_sub(2);
-        nodes[base(levels, lowest)..].par_iter_mut().with_min_len(PARALLEL_NODES).enumerate().for_each(|(j, node)| {
+        nodes[base(levels, lowest)..].par_iter_mut().with_min_len(grain.nodes).enumerate().for_each(|(j, node)| {
             let children = if levels == 1 { 2 } else { 4 };
             for c in 0..children {
                 let leaf = (j * children + c) as u32;
@@ -102,7 +121,7 @@ impl KdTree {
             let (above, below) = nodes.split_at_mut(base(levels, level));
             let width = if level == 1 { 2 } else { 4 };
             let parents = &mut above[base(levels, parent)..];
-            parents.par_iter_mut().with_min_len(PARALLEL_NODES).enumerate().for_each(|(j, node)| {
+            parents.par_iter_mut().with_min_len(grain.nodes).enumerate().for_each(|(j, node)| {
                 for c in 0..width {
                     let child = &below[j * width + c];
                     for axis in 0..3 {
@@ -166,7 +185,7 @@ fn widest_axis(records: &[Record]) -> usize {
 }
 
 /// Orders `records` (node `index` of binary level `level`) so that each node of each level below holds its range.
-fn split(records: &mut [Record], index: u64, level: u32, levels: u32, len: u64) {
+fn split(records: &mut [Record], index: u64, level: u32, levels: u32, len: u64, grain: Grain) {
     if level == levels {
         return;
     }
@@ -177,9 +196,9 @@ fn split(records: &mut [Record], index: u64, level: u32, levels: u32, len: u64) 
         records.select_nth_unstable_by_key(middle, |r| u64::from(r[axis]) << 32 | u64::from(r[3]));
     }
     let (left, right) = records.split_at_mut(middle);
-    let go_left = |r: &mut [Record]| split(r, 2 * index, level + 1, levels, len);
-    let go_right = |r: &mut [Record]| split(r, 2 * index + 1, level + 1, levels, len);
-    if left.len() + right.len() >= PARALLEL_PHOTONS {
+    let go_left = |r: &mut [Record]| split(r, 2 * index, level + 1, levels, len, grain);
+    let go_right = |r: &mut [Record]| split(r, 2 * index + 1, level + 1, levels, len, grain);
+    if left.len() + right.len() >= grain.photons {
         rayon::join(|| go_left(left), || go_right(right));
     } else {
         go_left(left);

@@ -1,7 +1,7 @@
 use super::*;
 use crate::math::{Purpose, Stream};
-use crate::photon::estimate::{Gather, irradiance_into};
-use crate::photon::pack::{encode_direction, encode_normal};
+use crate::photon::pack::{encode_direction, encode_normal, encode_rgbe};
+use crate::photon::query::NeighbourBuffer;
 
 /// `n` photons of power ~1 on the unit square, with random directions if asked.
 fn batch(n: u64, directions: bool) -> PhotonBatch {
@@ -125,42 +125,14 @@ fn memory_stays_within_32_bytes_a_photon() {
             assert!(bytes <= if directions { 28.0 } else { 24.0 }, "{n}: {bytes}");
         }
     }
-    let map = PhotonMap::build(MapKind::Global, batch(70_000, true));
-    map.enable_irradiance_cache();
-    let cache = map.irradiance.get().unwrap();
-    let held = [0, 1, 2].map(|a| map.tree.coordinates(a).len() * 4).iter().sum::<usize>()
-        + map.powers.capacity() * 4
-        + map.normals.capacity() * 2
-        + map.directions.as_ref().unwrap().capacity() * 4
-        + cache.capacity() * 4;
-    assert!(held as u64 <= map.memory_bytes() && map.memory_bytes() <= 32 * 70_000);
-}
-
-#[test]
-fn cached_irradiance_is_the_estimate_rounded_with_and_without_the_cache() {
-    let gather = Gather { k: 40, max_radius_squared: 0.01, kernel: Kernel::Constant };
-    let plain = PhotonMap::build(MapKind::Global, batch(2000, false));
-    let cached = PhotonMap::build(MapKind::Global, batch(2000, false));
-    cached.enable_irradiance_cache();
-    let mut buffer = NeighbourBuffer::new();
-    for i in 0..2000 {
-        let (p, n) = (plain.position(i), plain.normal(i));
-        let direct = irradiance_into(&plain, p, n, &gather, &mut buffer).irradiance;
-        let expect = decode_rgbe(encode_rgbe(direct));
-        for map in [&plain, &cached, &cached] {
-            assert_eq!(map.irradiance_at_photon(i, &gather, &mut buffer), expect);
-        }
+    for k in [2, 60] {
+        let map = PhotonMap::build(MapKind::Global, batch(70_000, true));
+        let sites = map.precomputed(k).memory_bytes();
+        let held = [0, 1, 2].map(|a| map.tree.coordinates(a).len() * 4).iter().sum::<usize>()
+            + map.powers.capacity() * 4
+            + map.normals.capacity() * 2
+            + map.directions.as_ref().unwrap().capacity() * 4;
+        assert!(held as u64 + sites <= map.memory_bytes());
+        assert!(map.memory_bytes() <= 32 * 70_000, "{k}: {}", map.memory_bytes());
     }
-}
-
-#[test]
-fn black_irradiance_is_remembered() {
-    let mut dark = batch(10, false);
-    dark.powers.fill(0);
-    let map = PhotonMap::build(MapKind::Global, dark);
-    map.enable_irradiance_cache();
-    let gather = Gather { k: 3, max_radius_squared: 4.0, kernel: Kernel::Constant };
-    assert_eq!(map.irradiance_at_photon(4, &gather, &mut NeighbourBuffer::new()), Rgb::BLACK);
-    assert_eq!(map.irradiance.get().unwrap()[4].load(Ordering::Relaxed), BLACK_IRRADIANCE);
-    assert_eq!(decode_rgbe(BLACK_IRRADIANCE), Rgb::BLACK);
 }
