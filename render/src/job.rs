@@ -9,6 +9,7 @@ use crate::import::{self, SceneBundle};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::vcm::{self, Vcm};
 use crate::integrator::whitted::Whitted;
 use crate::integrator::{Bootstrap, path, progressive, tile};
 use crate::math::Rgb;
@@ -199,13 +200,17 @@ impl PreparedJob {
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {
         if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
     }
+    /// Whether light paths are shown to the camera, and land anywhere.
+    fn has_splats(&self) -> bool {
+        matches!(self.settings.method, Method::Bdpt | Method::Vcm)
+    }
     /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
     pub fn light_image(&self) -> Option<LightImage> {
         let power = self.scene.lights.total_power().max_component();
         let (planes, scale) = match self.settings.method {
             // Independent rounds need a second plane for alpha.
             _ if self.settings.has_independent_rounds() => (2, power),
-            Method::Bdpt => (1, power),
+            _ if self.has_splats() => (1, power),
             // Chains splat radiance over luminance.
             Method::Mlt => (1, 1.0),
             _ => return None,
@@ -222,8 +227,14 @@ impl PreparedJob {
                 let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units));
                 film.finish_opaque(light, scale)
             }
-            // Splats are sums over the camera samples of a pixel.
-            _ => film.finish(light.map(|light| (light, 1.0 / f64::from(self.settings.samples)))),
+            _ => {
+                // Splats are sums over the camera samples of a pixel.
+                let samples = match self.settings.method {
+                    Method::Vcm => film.complete_rounds().max(1),
+                    _ => self.settings.samples,
+                };
+                film.finish(light.map(|light| (light, 1.0 / f64::from(samples))))
+            }
         }
     }
     /// The tiles of the image.
@@ -234,13 +245,16 @@ impl PreparedJob {
     pub fn channels(&self) -> ChannelSet {
         ChannelSet::new(&self.settings.layers)
     }
-    /// Whether photons of `map` carry directions.
+    /// Whether photons of `map` carry directions: those that are light vertices.
     pub fn photon_directions(&self, _map: MapKind) -> bool {
-        false
+        self.settings.method == Method::Vcm
     }
 
     /// Traces the photon paths of `range` of `round`, in parallel on the current rayon pool.
     pub fn emit(&self, round: u32, map: MapKind, range: EmissionRange) -> PhotonBatch {
+        if self.settings.method == Method::Vcm {
+            return self.vcm_round(round).emit(range);
+        }
         let (storage, aim) = match map {
             MapKind::Global => (self.plan.global.map_or(Storage::All, |g| g.storage), None),
             MapKind::Caustic => (Storage::Caustic, self.aim.as_ref()),
@@ -277,9 +291,16 @@ impl PreparedJob {
                     inputs.maps.insert(Arc::new(self.build_map(map, batch)));
                 }
                 Phase::Gather { tiles, .. } => {
-                    let tile = |index| self.gather(&inputs, round, index, None);
-                    let tiles: Vec<Tile> = (0..tiles).into_par_iter().with_max_len(1).map(tile).collect();
-                    tiles.iter().for_each(|tile| self.splat_tile(tile, light));
+                    let tile = |index| {
+                        let mut own = self.has_splats().then(|| self.light_image()).flatten();
+                        (self.gather(&inputs, round, index, own.as_mut()), own)
+                    };
+                    let tiles: Vec<_> = (0..tiles).into_par_iter().with_max_len(1).map(tile).collect();
+                    for (tile, own) in &tiles {
+                        self.splat_tile(tile, light);
+                        // Of one job, so never mismatched.
+                        let _ = own.as_ref().map(|own| light.add(own));
+                    }
                 }
                 Phase::Bootstrap { .. } | Phase::Splat { .. } => {}
             }
@@ -313,7 +334,7 @@ impl PreparedJob {
             MapKind::Caustic => &self.plan.caustic,
         };
         let radius = match (self.settings.method, first) {
-            (Method::Progressive, Some(e)) => e.first_radius,
+            (Method::Progressive | Method::Vcm, Some(e)) => e.first_radius,
             _ => photon_map::gather_radius(&self.settings, map, space),
         };
         space.length_to_world(radius) as f32
@@ -329,10 +350,22 @@ impl PreparedJob {
         let maps = &inputs.maps;
         let samples = settings.samples_of_round(round);
         match settings.method {
-            Method::Bdpt => {
-                let mut bdpt = Bdpt::new(scene, camera, settings);
+            Method::Bdpt | Method::Vcm => {
                 let mut nowhere = None;
                 let light = light.unwrap_or_else(|| nowhere.insert(LightImage::new(self.grid(), 1, 0.0)));
+                if settings.method == Method::Vcm {
+                    let mut vcm = Vcm::new(self.vcm_round(round), maps.global.as_deref());
+                    return tile::render_numbered(
+                        index,
+                        rect,
+                        settings,
+                        camera,
+                        &scene.space,
+                        samples,
+                        |id, ray, s| vcm.trace(id, ray, s, light),
+                    );
+                }
+                let mut bdpt = Bdpt::alone(scene, camera, settings);
                 tile::render_numbered(index, rect, settings, camera, &scene.space, samples, |id, ray, sampler| {
                     bdpt.trace(id, ray, sampler, light)
                 })
@@ -354,6 +387,11 @@ impl PreparedJob {
                 path::trace(scene, ray, settings.max_depth, sampler)
             }),
         }
+    }
+
+    fn vcm_round(&self, round: u32) -> vcm::Round<'_> {
+        let first_radius = self.plan.global.map_or(0.0, |e| e.first_radius);
+        vcm::Round::new(&self.scene, &self.camera, &self.settings, first_radius, round)
     }
 
     fn gather_settings(&self, maps: &PhotonMaps, round: u32) -> GatherSettings {

@@ -6,7 +6,7 @@
 mod memory;
 
 use crate::film::{LightImage, TileGrid};
-use crate::integrator::progressive;
+use crate::integrator::{progressive, vcm};
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
 use crate::photon::trace::{Emission, Storage};
@@ -68,10 +68,15 @@ impl Plan {
             entries.push(PlanEntry { what: what.into(), kept, reason });
         };
         let pixel = pixel_on_surfaces(scene, camera, settings);
+        let vertices = plan_vertices(scene, camera, settings, pixel);
+        if let Some(v) = &vertices {
+            entry("map of light vertices", true, describe(v, "where light paths meet surfaces that are not mirrors"));
+        }
         let global = plan_global(scene, settings, pixel).map_err(|why| entry("global photon map", false, why)).ok();
         if let Some(g) = &global {
             entry("global photon map", true, describe(g, "light on diffuse surfaces"));
         }
+        let global = vertices.or(global);
         let caustic =
             plan_caustic(scene, settings, aim, pixel).map_err(|why| entry("caustic photon map", false, why)).ok();
         if let (Some(c), Some(a)) = (&caustic, aim) {
@@ -79,7 +84,9 @@ impl Plan {
             let n = a.targets().len();
             entry("aimed emission", true, format!("towards {n} bounding sphere{} of such surfaces", plural(n)));
         }
-        if global.is_some() || caustic.is_some() {
+        if vertices.is_some() {
+            entry("photon directions", true, "BSDFs and weights depend on where the light came from".into());
+        } else if global.is_some() || caustic.is_some() {
             entry("photon directions", false, "diffuse lobes reflect the same whatever the direction".into());
         } else {
             entry("merge and broadcast", false, "there is no map".into());
@@ -123,6 +130,21 @@ fn plural(n: usize) -> &'static str {
 
 fn describe(e: &EmissionPlan, what: &str) -> String {
     format!("{what}: {} paths emitted, about {} photons stored", e.paths, e.expected_stored)
+}
+
+/// The light vertices of all rounds, where the method merges with them and there is light.
+fn plan_vertices(scene: &Scene, camera: &Camera, settings: &RenderSettings, pixel: f32) -> Option<EmissionPlan> {
+    if settings.method != Method::Vcm || scene.lights.is_empty() {
+        return None;
+    }
+    let paths = settings.photons;
+    let pilot = PILOT_PATHS.min(paths);
+    // Where vertices are stored does not depend on the radius.
+    let round = vcm::Round::new(scene, camera, settings, 1.0, 0);
+    let (stored, chosen) = vcm::choose_first_radius(&round, EmissionRange { first: 0, end: pilot }, pixel);
+    let expected_stored = (stored as u128 * u128::from(paths) / u128::from(pilot.max(1))) as u64;
+    let first_radius = settings.max_radius.map_or(chosen, |r| scene.space.length(f64::from(r)));
+    Some(EmissionPlan { paths, storage: Storage::All, expected_stored, first_radius })
 }
 
 fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<EmissionPlan, String> {
@@ -215,7 +237,7 @@ fn emission_plan(
 
 /// Bytes of a whole light image, where the method has one.
 fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool, String)) -> u64 {
-    if settings.method != Method::Bdpt {
+    if !matches!(settings.method, Method::Bdpt | Method::Vcm) {
         entry("light image", false, format!("method {} splats nothing", settings.method.name()));
         return 0;
     }

@@ -51,8 +51,8 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order help texts name them.
-    pub const ALL: [Method; 6] =
-        [Method::Whitted, Method::Path, Method::Bdpt, Method::Mlt, Method::Photon, Method::Progressive];
+    pub const ALL: [Method; 7] =
+        [Method::Whitted, Method::Path, Method::Bdpt, Method::Mlt, Method::Photon, Method::Progressive, Method::Vcm];
     /// Name on the command line and in headers.
     pub const fn name(self) -> &'static str {
         match self {
@@ -337,7 +337,9 @@ impl RenderSettings {
             }
         }
         for (setting, paths) in [("photons", self.photons), ("caustic-photons", self.caustic_photons)] {
-            if self.method.has_rounds() && (1..u64::from(self.rounds)).contains(&paths) {
+            // A round of `vcm` without light paths would leave out strategies that its weights count on.
+            let least = u64::from(setting != "photons" || self.method != Method::Vcm);
+            if self.method.has_rounds() && (least..u64::from(self.rounds)).contains(&paths) {
                 let rounds = self.rounds;
                 return bad(
                     setting,
@@ -378,7 +380,11 @@ impl RenderSettings {
 
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.
     pub fn share_of_round(&self, total: u64, round: u32) -> u64 {
-        let upto = |r: u32| (u128::from(total) * u128::from(r) / u128::from(self.rounds.max(1))) as u64;
-        upto(round + 1) - upto(round)
+        self.paths_before_round(total, round + 1) - self.paths_before_round(total, round)
+    }
+
+    /// Number of paths that the rounds before `round` emit of `total` over all rounds.
+    pub fn paths_before_round(&self, total: u64, round: u32) -> u64 {
+        (u128::from(total) * u128::from(round) / u128::from(self.rounds.max(1))) as u64
     }
 }

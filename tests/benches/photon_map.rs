@@ -203,7 +203,7 @@ fn map_of(data: &Data) -> PhotonMap {
         positions: data.points.clone(),
         powers: vec![encode_rgbe(Rgb::WHITE); count],
         normals: data.normals.iter().map(|&n| encode_normal(n)).collect(),
-        directions: None,
+        vertices: None,
     };
     PhotonMap::build(MapKind::Global, batch)
 }

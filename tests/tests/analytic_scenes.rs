@@ -8,8 +8,14 @@ use gatherlight_tests::single::{color, mean, render_description};
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
+/// Of methods with rounds, as many rounds as samples, each with a light path, and a radius too small to blur anything.
 fn settings(method: Method, side: u32, samples: u32) -> RenderSettings {
-    RenderSettings { method, width: side, height: side, samples, ..Default::default() }
+    let base = RenderSettings { method, width: side, height: side, samples, ..Default::default() };
+    if !method.has_rounds() {
+        return base;
+    }
+    let photons = u64::from(samples);
+    RenderSettings { rounds: samples, photons, caustic_photons: photons, max_radius: Some(0.01), ..base }
 }
 
 fn assert_close(what: &str, got: f64, expected: f64, tolerance: f64) {
@@ -64,11 +70,11 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> (f64, f64)
     light(&mut s);
     // A narrow view of the origin from the side, under the lamp.
     s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
-    let settings = RenderSettings { photons: 20_000, ..settings(method, 1, 65_536) };
-    if !method.layers().contains(&Layer::Variance) {
-        return from_seeds(&s.scene, &RenderSettings { samples: 4096, ..settings });
+    if method.has_rounds() || !method.layers().contains(&Layer::Variance) {
+        return from_seeds(&s.scene, &settings(method, 1, 4096));
     }
-    let film = render_description(s.scene, &RenderSettings { layers: vec![Layer::Variance], ..settings });
+    let layers = vec![Layer::Variance];
+    let film = render_description(s.scene, &RenderSettings { photons: 20_000, layers, ..settings(method, 1, 65_536) });
     let pixel = film.pixel(0, 0);
     (f64::from(pixel[1]), (f64::from(pixel[5]) / 65_536.0).sqrt())
 }
@@ -167,10 +173,12 @@ fn transmission_of_a_glass_slab() {
         s.camera(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 0.002);
         let r = (f64::from(ior - 1.0) / f64::from(ior + 1.0)).powi(2);
         for method in Method::ALL {
-            let got = f64::from(color(&render_description(s.scene.clone(), &settings(method, 1, 65_536)), 0, 0).g);
+            let samples = if method.has_rounds() { 4096 } else { 65_536 };
+            let film = render_description(s.scene.clone(), &settings(method, 1, samples));
+            let got = f64::from(color(&film, 0, 0).g);
             let expected = (1.0 - r) / (1.0 + r);
-            // Standard error of a Bernoulli-like estimate with 65,536 samples: below 0.002 of the value; 4 σ.
-            let sigma = (expected * (1.0 - expected) / 65_536.0).sqrt();
+            // Standard error of a Bernoulli-like estimate, below 0.002 (0.008) of the value; 4 σ.
+            let sigma = (expected * (1.0 - expected) / f64::from(samples)).sqrt();
             assert!(
                 (got - expected).abs() <= 4.0 * sigma + 1e-6,
                 "n = {ior}, {}: {got} instead of {expected} (σ = {sigma})",

@@ -1,6 +1,7 @@
 //! The weights of all strategies that make one path sum to 1: for sampled paths, the recursive weights against the ratio of
 //! every strategy's pdf, multiplied out in f64 over the whole path.
 
+use gatherlight_render::geometry::Ray;
 use gatherlight_render::integrator::connect::{Connector, Contribution};
 use gatherlight_render::integrator::direct::LightDirection;
 use gatherlight_render::integrator::vertex::{Merging, Origin, Start, Vertex, Walk};
@@ -13,10 +14,10 @@ use gatherlight_render::settings::CameraChoice;
 use gatherlight_tests::transport;
 use glam::Vec3;
 
-/// Light paths for each camera sample: not 1, so that the factor is seen to be where it belongs.
-const LIGHT_PATHS: f64 = 0.5;
 /// Most edges of a path.
 const LONGEST: usize = 5;
+/// Light paths for each camera sample: not 1, so that the factor is seen to be where it belongs.
+const LIGHT_PATHS: f64 = 0.5;
 
 /// A vertex of a full path between light and camera.
 #[derive(Clone, Copy)]
@@ -53,8 +54,9 @@ impl FullPath<'_> {
         if n.dirac { 1.0 } else { f64::from(n.at.bsdf.pdf(from, to, Lobes::ALL, mode)) }
     }
 
-    /// pdf of every strategy s = 0 … m + 1 for the m surfaces, as a density over the areas of all vertices.
-    fn pdfs(&self, camera: &Camera) -> Vec<f64> {
+    /// pdf of every strategy s = 0 … m + 1 for the m surfaces, then of merging at each surface, as a density over the areas of
+    /// all vertices.
+    fn pdfs(&self, camera: &Camera, techniques: &Techniques) -> Vec<f64> {
         let n = &self.nodes;
         let m = n.len();
         let (first, last) = (&n[0], &n[m - 1]);
@@ -97,14 +99,41 @@ impl FullPath<'_> {
             pdfs.push(product(&from_light[..s - 1]) * product(&from_camera[s - 1..]) * ends);
         }
         pdfs.push(product(&from_light) * LIGHT_PATHS * connects(m - 1));
+        if !techniques.connections {
+            pdfs.fill(0.0);
+        }
+        for j in 0..m {
+            pdfs.push(product(&from_light[..=j]) * product(&from_camera[j..]) * techniques.eta * connects(j));
+        }
         pdfs
     }
 
     /// The weight of strategy `s` by the power heuristic.
-    fn weight(&self, camera: &Camera, s: usize) -> f64 {
-        let pdfs = self.pdfs(camera);
+    fn weight(&self, camera: &Camera, techniques: &Techniques, s: usize) -> f64 {
+        let pdfs = self.pdfs(camera, techniques);
         let sum: f64 = pdfs.iter().map(|p| (p / pdfs[s]).powi(2)).sum();
         1.0 / sum
+    }
+}
+
+/// Which strategies there are.
+struct Techniques {
+    connections: bool,
+    /// Expected number of light paths that land within the merge radius of a point, per density; 0 without merging.
+    eta: f64,
+}
+
+impl Techniques {
+    fn merging(&self) -> Merging {
+        let square = |v: f64| v * v;
+        match self {
+            Techniques { eta: 0.0, .. } => Merging::NONE,
+            Techniques { connections: false, eta } => Merging { vm: square(*eta), vc: 0.0 },
+            // As the renderer makes it: 700 paths within the radius that gives this η.
+            Techniques { connections: true, eta } => {
+                Merging::new(700.0, (eta / (700.0 * std::f64::consts::PI)).sqrt() as f32)
+            }
+        }
     }
 }
 
@@ -149,18 +178,24 @@ fn join<'a>(
 }
 
 /// Vertices of a walk, and whether each scattered by a Dirac lobe (read off the quantities of the next).
-fn walk(scene: &Scene, mode: TransportMode, start: &Start, sampler: &mut Sampler) -> (Vec<Vertex>, Vec<bool>) {
+fn walk(
+    scene: &Scene,
+    mode: TransportMode,
+    merging: Merging,
+    start: &Start,
+    sampler: &mut Sampler,
+) -> (Vec<Vertex>, Vec<bool>) {
     let mut vertices: Vec<Vertex> = Vec::new();
     let max_length = LONGEST as u32;
-    Walk { scene, mode, merging: Merging::NONE, max_length, roulette: true }
-        .run(start, sampler, |v, _| vertices.push(*v));
+    Walk { scene, mode, merging, max_length, roulette: true }.run(start, sampler, |v, _| vertices.push(*v));
     let dirac = (1..vertices.len()).map(|i| vertices[i].quantities.vcm == 0.0).collect();
     (vertices, dirac)
 }
 
 struct Check {
-    /// Paths seen by number of edges and s.
-    seen: [[u32; LONGEST + 2]; LONGEST + 2],
+    techniques: Techniques,
+    /// Paths seen by number of edges and strategy: s, then by the surface that merges.
+    seen: [[u32; 2 * LONGEST + 2]; LONGEST + 2],
     worst: f64,
     name: &'static str,
 }
@@ -168,10 +203,11 @@ struct Check {
 impl Check {
     fn compare(&mut self, path: &FullPath, camera: &Camera, s: usize, c: Contribution) {
         let edges = path.nodes.len() + 1;
-        if edges > LONGEST || c.value.is_black() {
+        let merges = s > edges;
+        if edges > LONGEST || c.value.is_black() || !(merges || self.techniques.connections) {
             return;
         }
-        let expected = path.weight(camera, s);
+        let expected = path.weight(camera, &self.techniques, s);
         let error = (f64::from(c.weight) - expected).abs();
         self.worst = self.worst.max(error);
         self.seen[edges][s] += 1;
@@ -180,19 +216,44 @@ impl Check {
             "{}: strategy s = {s} of a path of {edges} edges weighs {}, by all pdfs {expected} ({:?})",
             self.name,
             c.weight,
-            path.pdfs(camera)
+            path.pdfs(camera, &self.techniques)
         );
     }
 }
 
-fn check_room(name: &'static str, scene: &Scene, camera: &Camera, count: u64) -> Check {
-    let connector = Connector { scene, camera, merging: Merging::NONE, light_paths: LIGHT_PATHS };
-    let mut check = Check { seen: Default::default(), worst: 0.0, name };
+impl Check {
+    /// Merging the camera vertex `c` with the light vertex `l` at the same place.
+    fn merge(&mut self, path: &FullPath, camera: &Camera, connector: &Connector, c: &Vertex, l: &Vertex) {
+        let shares = [l.quantities.vcm.sqrt(), l.quantities.vm.sqrt()];
+        if self.techniques.eta > 0.0
+            && let Some(merged) = connector.merge(c, l.wo, l.throughput, shares)
+        {
+            self.compare(path, camera, path.nodes.len() + 1 + l.length as usize, merged);
+        }
+    }
+}
+
+/// The camera vertex that the camera sub-path ending in `c` would make by walking on to the light vertex `l`.
+fn walked_on(c: &Vertex, l: &Vertex, merging: Merging) -> Option<Vertex> {
+    let d = l.point.position - c.point.position;
+    let (wi, distance) = (d.normalize(), d.length());
+    let (f, forward) = c.bsdf.eval_pdf(c.wo, wi, TransportMode::Radiance);
+    let (_, reverse) = c.bsdf.eval_pdf(wi, c.wo, TransportMode::Importance);
+    let scattered = c.quantities.scattered(c.bsdf.cos_geometric(wi), forward, reverse, merging);
+    let quantities = scattered.arrived(distance, l.bsdf.cos_geometric(wi));
+    let (throughput, from, length) = (c.throughput * f, c.point.position, c.length + 1);
+    (forward > 0.0).then_some(Vertex { wo: -wi, from, distance, throughput, quantities, length, ..*l })
+}
+
+fn check_room(name: &'static str, scene: &Scene, camera: &Camera, techniques: Techniques, count: u64) -> Check {
+    let merging = techniques.merging();
+    let connector = Connector { scene, camera, merging, light_paths: LIGHT_PATHS };
+    let mut check = Check { techniques, seen: Default::default(), worst: 0.0, name };
     for i in 0..count {
         let mut sampler = Sampler::new(3, Purpose::LightPath, 0, i, 0);
         let Some(start) = Start::light(scene, &mut sampler) else { continue };
         let Origin::Light { light, pmf } = start.origin else { unreachable!("a light path starts at a light") };
-        let (light_path, light_dirac) = walk(scene, TransportMode::Importance, &start, &mut sampler);
+        let (light_path, light_dirac) = walk(scene, TransportMode::Importance, merging, &start, &mut sampler);
         let cos_of = |light: &Light, flight: Vec3| match light {
             Light::Area(a) => f64::from(flight.dot(a.normal).abs()),
             _ => 1.0,
@@ -200,7 +261,7 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, count: u64) ->
         let mut sampler = Sampler::new(3, Purpose::Camera, 0, i, 0);
         let [x, y] = sampler.next_2d();
         let view = Start::camera(camera, LIGHT_PATHS, camera.ray(x * 24.0, y * 24.0));
-        let (camera_path, camera_dirac) = walk(scene, TransportMode::Radiance, &view, &mut sampler);
+        let (camera_path, camera_dirac) = walk(scene, TransportMode::Radiance, merging, &view, &mut sampler);
         let dirac = [light_dirac, camera_dirac];
         let pmf = f64::from(pmf);
         // s ≥ 2 and t ≥ 2, and t = 1.
@@ -210,7 +271,12 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, count: u64) ->
             if let Some((p, c)) = connector.lens(&l[a - 1]) {
                 let mut nodes = join(l, &[], None, &dirac);
                 nodes[a - 1].camera_side = (p.direction, p.distance);
-                check.compare(&FullPath { nodes, light, pmf, cos_light }, camera, a + 1, c.contribution);
+                let path = FullPath { nodes, light, pmf, cos_light };
+                check.compare(&path, camera, a + 1, c.contribution);
+                let ray = Ray::new(l[a - 1].point.position, -p.direction);
+                let seen = Start::camera(camera, LIGHT_PATHS, ray).arrived(&l[a - 1].point, p.distance, merging);
+                let merged = Vertex { wo: p.direction, length: 1, quantities: seen, ..l[a - 1] };
+                check.merge(&path, camera, &connector, &merged, &l[a - 1]);
             }
             for b in 1..=camera_path.len() {
                 let e = &camera_path[..b];
@@ -219,7 +285,11 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, count: u64) ->
                 }
                 if let Some(c) = connector.connect(&e[b - 1], &l[a - 1]) {
                     let nodes = join(l, e, None, &dirac);
-                    check.compare(&FullPath { nodes, light, pmf, cos_light }, camera, a + 1, c.contribution);
+                    let path = FullPath { nodes, light, pmf, cos_light };
+                    check.compare(&path, camera, a + 1, c.contribution);
+                    if let Some(merged) = walked_on(&e[b - 1], &l[a - 1], merging) {
+                        check.merge(&path, camera, &connector, &merged, &l[a - 1]);
+                    }
                 }
             }
         }
@@ -249,6 +319,7 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, count: u64) ->
     check
 }
 
+/// η from where merging hardly counts to where it is nearly all there is.
 #[test]
 fn recursive_weights_are_those_of_all_pdfs() {
     for (name, mut description) in transport::rooms() {
@@ -257,12 +328,22 @@ fn recursive_weights_are_those_of_all_pdfs() {
         let scene = builder::build(description).unwrap_or_else(|e| panic!("{name}: {e}"));
         let (camera, _) = builder::choose_camera(&cameras, bounds, &scene.space, &CameraChoice::First, 24, 24)
             .unwrap_or_else(|e| panic!("{name}: {e}"));
-        let check = check_room(name, &scene, &camera, 2000);
-        println!("{name}: worst {:.1e}, paths by edges and s: {:?}", check.worst, check.seen);
         let lit_by_area = scene.lights.area_count() > 0;
-        for edges in 2..=LONGEST {
-            for s in usize::from(!lit_by_area)..=edges {
-                assert!(check.seen[edges][s] > 0, "{name}: no path of {edges} edges by s = {s}");
+        for (connections, eta) in [(true, 0.0), (true, 1e-3), (true, 0.3), (true, 1e3), (false, 0.3)] {
+            let techniques = Techniques { connections, eta };
+            let check = check_room(name, &scene, &camera, techniques, 2000);
+            println!("{name}, η = {eta}: worst {:.1e}, paths by edges and strategy: {:?}", check.worst, check.seen);
+            for edges in 2..=LONGEST {
+                let seen = check.seen[edges];
+                let (by_connection, by_merging) = (0..=edges, edges + 1..=2 * edges - 1);
+                if connections {
+                    for s in by_connection.skip(usize::from(!lit_by_area)) {
+                        assert!(seen[s] > 0, "{name}: no path of {edges} edges by s = {s}");
+                    }
+                }
+                for j in by_merging {
+                    assert!(eta == 0.0 || seen[j] > 0, "{name}: no path of {edges} edges by merging at {j}");
+                }
             }
         }
     }

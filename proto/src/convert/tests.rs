@@ -56,6 +56,7 @@ fn settings_survive_the_wire() {
         &settings(),
         &RenderSettings::default(),
         &RenderSettings { max_depth: None, max_radius: None, layers: Vec::new(), ..settings() },
+        &RenderSettings { direct_from_map: true, final_gather: 0, ..RenderSettings::default() },
     ]) {
         let bytes = wire::RenderSettings::from(s).encode_to_vec();
         let back = wire::RenderSettings::decode(&bytes[..]).expect("decodes");

@@ -1,7 +1,7 @@
 //! Photons as columns of bit-packed groups: the coding that batches and maps share.
 //!
-//! Each of the 9 or 11 columns (3 coordinates as ordered integers, 4 bytes of power, 2 of the normal, 2 halves of the
-//! direction) is cut into groups of [`GROUP`] photons; a group is its least value, the bits its range needs, and the
+//! Each of the 9 columns of photons (3 coordinates as ordered integers, 4 bytes of power, 2 of the normal) or 14 of light
+//! vertices (besides 2 halves of the direction, 2 shares in the weights, the length) is cut into groups of [`GROUP`] photons; a group is its least value, the bits its range needs, and the
 //! differences at that width (frame of reference: Goldstein, Ramakrishnan and Shaft 1998). Neighbours in tree order share high
 //! bits, flat walls and single-coloured lamps whole values. Exact, and fast both ways without an entropy coder.
 //!
@@ -9,7 +9,9 @@
 //! each. A group is at least one byte a column and base long, which bounds what a length can make a reader allocate.
 
 use crate::error::WireError;
+use gatherlight_render::photon::LightVertices;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Photons in a group.
 const GROUP: usize = 64;
@@ -19,17 +21,17 @@ const BLOCK: usize = 1 << 16;
 const ENTRY_BYTES: usize = 4 + CHECKSUM_BYTES;
 /// Bytes kept of a BLAKE3 digest to find damage.
 pub(super) const CHECKSUM_BYTES: usize = 8;
-/// Bytes of each column's values; the last two only with directions.
-const COLUMN_BYTES: [usize; 11] = [4, 4, 4, 1, 1, 1, 1, 1, 1, 2, 2];
+/// Bytes of each column's values; the last five only of light vertices.
+const COLUMN_BYTES: [usize; 14] = [4, 4, 4, 1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 1];
 
-fn columns(directions: bool) -> &'static [usize] {
-    if directions { &COLUMN_BYTES } else { &COLUMN_BYTES[..9] }
+fn columns(vertices: bool) -> &'static [usize] {
+    if vertices { &COLUMN_BYTES } else { &COLUMN_BYTES[..9] }
 }
 
 /// Photons that can be encoded.
 pub(super) trait Photons: Sync {
     fn len(&self) -> usize;
-    fn has_directions(&self) -> bool;
+    fn vertices(&self) -> Option<&LightVertices>;
     /// Values of column `c` for photons `first` … into `out`, all of which exist.
     fn read(&self, c: usize, first: usize, out: &mut [u32]);
 }
@@ -40,7 +42,7 @@ pub(super) struct Arrays {
     pub(super) coordinates: [Vec<f32>; 3],
     pub(super) powers: Vec<u32>,
     pub(super) normals: Vec<u16>,
-    pub(super) directions: Option<Vec<u32>>,
+    pub(super) vertices: Option<LightVertices>,
 }
 
 /// Bits that order as finite floats do, so that near values are near integers.
@@ -56,18 +58,17 @@ fn unordered(bits: u32) -> f32 {
     f32::from_bits(bits ^ (!(bits as i32 >> 31) as u32 | 0x8000_0000))
 }
 
-/// Column `c` ≥ 3 of a photon with the given packed fields.
+/// Column `c` ≥ 3 of photon `i` with the given packed fields.
 #[inline(always)]
-pub(super) fn packed_column(
-    c: usize,
-    power: impl Fn() -> u32,
-    normal: impl Fn() -> u16,
-    direction: impl Fn() -> u32,
-) -> u32 {
+pub(super) fn packed_column(c: usize, i: usize, powers: &[u32], normals: &[u16], v: Option<&LightVertices>) -> u32 {
+    let vertex = |get: &dyn Fn(&LightVertices) -> u32| v.map_or(0, get);
     match c {
-        3..=6 => power() >> (8 * (c - 3)) & 0xff,
-        7 | 8 => u32::from(normal()) >> (8 * (c - 7)) & 0xff,
-        _ => direction() >> (16 * (c - 9)) & 0xffff,
+        3..=6 => powers[i] >> (8 * (c - 3)) & 0xff,
+        7 | 8 => u32::from(normals[i]) >> (8 * (c - 7)) & 0xff,
+        9 | 10 => vertex(&|v| v.directions[i] >> (16 * (c - 9)) & 0xffff),
+        // Bits of floats ≥ 0 order as the floats do.
+        11 | 12 => vertex(&|v| v.shares[i][c - 11].to_bits()),
+        _ => vertex(&|v| u32::from(v.lengths[i])),
     }
 }
 
@@ -105,7 +106,7 @@ pub(super) fn encode(photons: &impl Photons, out: &mut Vec<u8>) {
 fn encode_group(photons: &impl Photons, first: usize, end: usize, out: &mut Vec<u8>) {
     let mut values = [0u32; GROUP];
     let values = &mut values[..end - first];
-    for (c, &bytes) in columns(photons.has_directions()).iter().enumerate() {
+    for (c, &bytes) in columns(photons.vertices().is_some()).iter().enumerate() {
         photons.read(c, first, values);
         let (least, greatest) = values.iter().fold((u32::MAX, 0), |(a, b), &v| (a.min(v), b.max(v)));
         let width = 32 - (greatest - least).leading_zeros();
@@ -131,11 +132,11 @@ pub(super) fn decode(
     all: &[u8],
     header: usize,
     count: u64,
-    directions: bool,
+    vertices: bool,
 ) -> Result<Arrays, WireError> {
     let damaged = |message: String| WireError::payload(what, message);
     // Every group holds at least its bases and widths.
-    let group_bytes = columns(directions).iter().map(|b| b + 1).sum::<usize>() as u64;
+    let group_bytes = columns(vertices).iter().map(|b| b + 1).sum::<usize>() as u64;
     if count.div_ceil(GROUP as u64).saturating_mul(group_bytes) > all.len() as u64 {
         return Err(damaged(format!("announces {count} photons in {} bytes", all.len())));
     }
@@ -160,7 +161,7 @@ pub(super) fn decode(
     if !rest.is_empty() {
         return Err(damaged(format!("{} bytes follow the last photon", rest.len())));
     }
-    decode_blocks(n, directions, &blocks).map_err(|m| damaged(m.into()))
+    decode_blocks(n, vertices, &blocks).map_err(|m| damaged(m.into()))
 }
 
 /// Where one block's photons go.
@@ -168,20 +169,34 @@ struct Target<'a> {
     coordinates: [&'a mut [f32]; 3],
     powers: &'a mut [u32],
     normals: &'a mut [u16],
-    directions: Option<&'a mut [u32]>,
+    vertices: Option<VertexTarget<'a>>,
 }
 
-fn decode_blocks(n: usize, directions: bool, blocks: &[(&[u8], &[u8])]) -> Result<Arrays, &'static str> {
+/// The part of a [`Target`] that only light vertices have.
+struct VertexTarget<'a> {
+    directions: &'a mut [u32],
+    shares: &'a mut [[f32; 2]],
+    lengths: &'a mut [u8],
+}
+
+fn decode_blocks(n: usize, vertices: bool, blocks: &[(&[u8], &[u8])]) -> Result<Arrays, &'static str> {
     let mut arrays = Arrays {
         coordinates: [vec![0.0; n], vec![0.0; n], vec![0.0; n]],
         powers: vec![0; n],
         normals: vec![0; n],
-        directions: directions.then(|| vec![0; n]),
+        vertices: vertices.then(|| LightVertices {
+            directions: vec![0; n],
+            shares: vec![[0.0; 2]; n],
+            lengths: vec![0; n],
+        }),
     };
     let [x, y, z] = &mut arrays.coordinates;
     let (mut x, mut y, mut z) = (x.chunks_mut(BLOCK), y.chunks_mut(BLOCK), z.chunks_mut(BLOCK));
     let (mut powers, mut normals) = (arrays.powers.chunks_mut(BLOCK), arrays.normals.chunks_mut(BLOCK));
-    let mut directions = arrays.directions.as_mut().map(|d| d.chunks_mut(BLOCK));
+    let mut vertices = arrays
+        .vertices
+        .as_mut()
+        .map(|v| v.directions.chunks_mut(BLOCK).zip(v.shares.chunks_mut(BLOCK)).zip(v.lengths.chunks_mut(BLOCK)));
     let mut work = Vec::with_capacity(blocks.len());
     for &(block, seal) in blocks {
         let (Some(x), Some(y), Some(z), Some(powers), Some(normals)) =
@@ -189,8 +204,9 @@ fn decode_blocks(n: usize, directions: bool, blocks: &[(&[u8], &[u8])]) -> Resul
         else {
             return Err("has more blocks than photons");
         };
-        let directions = directions.as_mut().and_then(Iterator::next);
-        work.push((block, seal, Target { coordinates: [x, y, z], powers, normals, directions }));
+        let vertices = vertices.as_mut().and_then(Iterator::next);
+        let vertices = vertices.map(|((directions, shares), lengths)| VertexTarget { directions, shares, lengths });
+        work.push((block, seal, Target { coordinates: [x, y, z], powers, normals, vertices }));
     }
     work.into_par_iter().try_for_each(|(block, seal, mut target)| {
         if checksum(block) != seal {
@@ -203,7 +219,7 @@ fn decode_blocks(n: usize, directions: bool, blocks: &[(&[u8], &[u8])]) -> Resul
 
 fn decode_block(mut bytes: &[u8], target: &mut Target<'_>) -> Result<(), &'static str> {
     let n = target.powers.len();
-    let columns = columns(target.directions.is_some());
+    let columns = columns(target.vertices.is_some());
     let mut values = [0u32; GROUP];
     for first in (0..n).step_by(GROUP) {
         let count = GROUP.min(n - first);
@@ -261,10 +277,29 @@ impl Target<'_> {
             3..=6 => self.powers[range].iter_mut().zip(values).for_each(|(to, v)| *to |= v << (8 * (c - 3))),
             7 | 8 => self.normals[range].iter_mut().zip(values).for_each(|(to, v)| *to |= (v << (8 * (c - 7))) as u16),
             _ => {
-                if let Some(d) = &mut self.directions {
-                    d[range].iter_mut().zip(values).for_each(|(to, v)| *to |= v << (16 * (c - 9)));
+                if let Some(vertices) = &mut self.vertices {
+                    return vertices.store(c, range, values);
                 }
             }
+        }
+        Ok(())
+    }
+}
+
+impl VertexTarget<'_> {
+    fn store(&mut self, c: usize, range: Range<usize>, values: &[u32]) -> Result<(), &'static str> {
+        match c {
+            9 | 10 => self.directions[range].iter_mut().zip(values).for_each(|(to, v)| *to |= v << (16 * (c - 9))),
+            11 | 12 => {
+                let mut sound = true;
+                for (to, &v) in self.shares[range].iter_mut().zip(values) {
+                    let share = f32::from_bits(v);
+                    sound &= share.is_finite() && share >= 0.0;
+                    to[c - 11] = share;
+                }
+                return if sound { Ok(()) } else { Err("a share in the weights is negative or not finite") };
+            }
+            _ => self.lengths[range].iter_mut().zip(values).for_each(|(to, &v)| *to = v as u8),
         }
         Ok(())
     }

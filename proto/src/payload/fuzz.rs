@@ -3,11 +3,12 @@
 use super::columns::{Arrays, checksum};
 use crate::error::WireError;
 use gatherlight_render::math::{Purpose, Stream};
+use gatherlight_render::photon::LightVertices;
 
-/// Photons on floor and wall of a room with a dense spot, of three colours and random directions.
-pub(super) fn photons(n: usize, directions: bool) -> Arrays {
+/// Photons on floor and wall of a room with a dense spot, of three colours; or light `vertices` with random columns.
+pub(super) fn photons(n: usize, vertices: bool) -> Arrays {
     let mut s = Stream::new(5, Purpose::Test, 0, n as u64);
-    let mut a = Arrays { directions: directions.then(Vec::new), ..Arrays::default() };
+    let mut a = Arrays { vertices: vertices.then(LightVertices::default), ..Arrays::default() };
     for i in 0..n {
         let [u, v] = s.next_2d().map(|c| 2.0 * c - 1.0);
         let (p, normal) = match i % 4 {
@@ -20,8 +21,10 @@ pub(super) fn photons(n: usize, directions: bool) -> Arrays {
         }
         a.powers.push([0x7f80_8080, 0x7d80_4020, 0x7c00_ff00][i % 3] ^ (s.next_u64() & 0x0003_0303) as u32);
         a.normals.push(normal);
-        if let Some(d) = &mut a.directions {
-            d.push(s.next_u64() as u32);
+        if let Some(v) = &mut a.vertices {
+            v.directions.push(s.next_u64() as u32);
+            v.shares.push([3.0 * s.next_f32(), s.next_f32() * s.next_f32()]);
+            v.lengths.push(1 + (s.next_u64() % 5) as u8);
         }
     }
     a

@@ -1,6 +1,6 @@
 //! Photon maps ↔ bytes: the broadcast of the finished map.
 //!
-//! Layout, little-endian: `GLPM`, version u32, flags u32 (1: with directions, 2: caustic), emitted count u64, photons u64; then
+//! Layout, little-endian: `GLPM`, version u32, flags u32 (1: light vertices, with directions, 2: caustic), emitted count u64, photons u64; then
 //! the photons in tree order (see `columns`). The receiver computes the tree's boxes anew, in linear time, and gets
 //! the very tree that was sent.
 
@@ -8,9 +8,9 @@ use super::columns::{self, Photons, ordered, packed_column};
 use super::header::Reader;
 use crate::error::WireError;
 use bytes::Bytes;
-use gatherlight_render::photon::MapKind;
 use gatherlight_render::photon::kdtree::MAX_TREE_PHOTONS;
 use gatherlight_render::photon::map::{MapParts, PhotonMap};
+use gatherlight_render::photon::{LightVertices, MapKind};
 
 const MAGIC: [u8; 4] = *b"GLPM";
 const VERSION: u32 = 1;
@@ -23,8 +23,8 @@ impl Photons for PhotonMap {
     fn len(&self) -> usize {
         self.stored_count()
     }
-    fn has_directions(&self) -> bool {
-        self.packed_directions().is_some()
+    fn vertices(&self) -> Option<&LightVertices> {
+        PhotonMap::vertices(self)
     }
     fn read(&self, c: usize, first: usize, out: &mut [u32]) {
         if c < 3 {
@@ -32,9 +32,9 @@ impl Photons for PhotonMap {
             out.iter_mut().zip(values).for_each(|(out, &v)| *out = ordered(v));
             return;
         }
-        let (powers, normals, directions) = (self.packed_powers(), self.packed_normals(), self.packed_directions());
+        let (powers, normals, vertices) = (self.packed_powers(), self.packed_normals(), PhotonMap::vertices(self));
         for (i, out) in (first..).zip(out) {
-            *out = packed_column(c, || powers[i], || normals[i], || directions.map_or(0, |d| d[i]));
+            *out = packed_column(c, i, powers, normals, vertices);
         }
     }
 }
@@ -43,12 +43,12 @@ fn flags(kind: MapKind, directions: bool) -> u32 {
     (if directions { DIRECTIONS } else { 0 }) | (if kind == MapKind::Caustic { CAUSTIC } else { 0 })
 }
 
-/// Encodes a map, in parallel on the current rayon pool. Some 11 bytes a photon, 15 with directions.
+/// Encodes a map, in parallel on the current rayon pool. Some 11 bytes a photon, 23 a light vertex.
 pub fn encode_map(map: &PhotonMap) -> Bytes {
     let mut out = Vec::with_capacity(HEADER_BYTES);
     out.extend_from_slice(&MAGIC);
     out.extend_from_slice(&VERSION.to_le_bytes());
-    out.extend_from_slice(&flags(map.kind(), map.has_directions()).to_le_bytes());
+    out.extend_from_slice(&flags(map.kind(), PhotonMap::vertices(map).is_some()).to_le_bytes());
     out.extend_from_slice(&map.emitted_count().to_le_bytes());
     out.extend_from_slice(&(map.stored_count() as u64).to_le_bytes());
     columns::encode(map, &mut out);
@@ -70,9 +70,9 @@ pub fn decode_map(bytes: &[u8], kind: MapKind, max_photons: u64) -> Result<Photo
     let count = u64::from_le_bytes(reader.array()?);
     WireError::check_limit("photons of a map", count, max_photons, "max_photons")?;
     WireError::check_limit("photons of a map", count, MAX_TREE_PHOTONS as u64, "MAX_TREE_PHOTONS")?;
-    let columns::Arrays { coordinates, powers, normals, directions } =
+    let columns::Arrays { coordinates, powers, normals, vertices } =
         columns::decode(WHAT, bytes, HEADER_BYTES, count, directions)?;
-    let parts = MapParts { kind, emitted_count, coordinates, powers, normals, directions };
+    let parts = MapParts { kind, emitted_count, coordinates, powers, normals, vertices };
     PhotonMap::from_parts(parts).map_err(|e| WireError::payload(WHAT, e.to_string()))
 }
 
@@ -88,7 +88,7 @@ mod tests {
         let a = fuzz::photons(n, directions);
         let positions = (0..n).map(|i| [a.coordinates[0][i], a.coordinates[1][i], a.coordinates[2][i]]).collect();
         let range = EmissionRange { first: 0, end: 12_345 };
-        let batch = PhotonBatch { range, positions, powers: a.powers, normals: a.normals, directions: a.directions };
+        let batch = PhotonBatch { range, positions, powers: a.powers, normals: a.normals, vertices: a.vertices };
         PhotonMap::build(MapKind::Caustic, batch)
     }
 
@@ -106,8 +106,8 @@ mod tests {
     }
 
     #[test]
-    fn a_map_of_surface_photons_takes_at_most_20_bytes_a_photon() {
-        for (directions, limit) in [(false, 15.0), (true, 20.0)] {
+    fn a_map_of_surface_photons_takes_at_most_15_bytes_a_photon_and_30_a_light_vertex() {
+        for (directions, limit) in [(false, 15.0), (true, 30.0)] {
             let n = 200_000;
             let bytes = encode_map(&map(n, directions)).len() as f64 / n as f64;
             assert!(bytes <= limit, "{bytes}");

@@ -1,6 +1,6 @@
 //! Photon batches ↔ bytes.
 //!
-//! Layout, little-endian: `GLPB`, version u32, flags u32 (1: with directions), first path u64, end path u64, photons u64; then
+//! Layout, little-endian: `GLPB`, version u32, flags u32 (1: light vertices, with directions), first path u64, end path u64, photons u64; then
 //! the photons (see `columns`). Order is kept.
 
 use super::columns::{self, Photons, ordered, packed_column};
@@ -8,7 +8,7 @@ use super::header::Reader;
 use crate::error::WireError;
 use crate::limits::MAX_BATCH_PHOTONS;
 use bytes::Bytes;
-use gatherlight_render::photon::{EmissionRange, PhotonBatch};
+use gatherlight_render::photon::{EmissionRange, LightVertices, PhotonBatch};
 
 const MAGIC: [u8; 4] = *b"GLPB";
 const VERSION: u32 = 1;
@@ -20,19 +20,14 @@ impl Photons for PhotonBatch {
     fn len(&self) -> usize {
         self.positions.len()
     }
-    fn has_directions(&self) -> bool {
-        self.directions.is_some()
+    fn vertices(&self) -> Option<&LightVertices> {
+        self.vertices.as_ref()
     }
     fn read(&self, c: usize, first: usize, out: &mut [u32]) {
         for (i, out) in (first..).zip(out) {
             *out = match c {
                 0..=2 => ordered(self.positions[i][c]),
-                _ => packed_column(
-                    c,
-                    || self.powers[i],
-                    || self.normals[i],
-                    || self.directions.as_ref().map_or(0, |d| d[i]),
-                ),
+                _ => packed_column(c, i, &self.powers, &self.normals, self.vertices.as_ref()),
             };
         }
     }
@@ -43,7 +38,7 @@ pub fn encode_batch(batch: &PhotonBatch) -> Bytes {
     let mut out = Vec::with_capacity(HEADER_BYTES);
     out.extend_from_slice(&MAGIC);
     out.extend_from_slice(&VERSION.to_le_bytes());
-    out.extend_from_slice(&(if batch.directions.is_some() { DIRECTIONS } else { 0 }).to_le_bytes());
+    out.extend_from_slice(&(if batch.vertices.is_some() { DIRECTIONS } else { 0 }).to_le_bytes());
     out.extend_from_slice(&batch.range.first.to_le_bytes());
     out.extend_from_slice(&batch.range.end.to_le_bytes());
     out.extend_from_slice(&(batch.len() as u64).to_le_bytes());
@@ -51,7 +46,7 @@ pub fn encode_batch(batch: &PhotonBatch) -> Bytes {
     Bytes::from(out)
 }
 
-/// Decodes the batch of the paths `range`, with directions or not as `directions` says.
+/// Decodes the batch of the paths `range`, of light vertices (which have directions) or photons as `directions` says.
 ///
 /// # Errors
 /// When the bytes are damaged, or are another batch than asked for, or hold more than [`MAX_BATCH_PHOTONS`]. Allocates at most
@@ -67,8 +62,8 @@ pub fn decode_batch(bytes: &[u8], range: EmissionRange, directions: bool) -> Res
     let arrays = columns::decode(WHAT, bytes, HEADER_BYTES, count, directions)?;
     let [x, y, z] = &arrays.coordinates;
     let positions = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]).collect();
-    let columns::Arrays { powers, normals, directions, .. } = arrays;
-    Ok(PhotonBatch { range, positions, powers, normals, directions })
+    let columns::Arrays { powers, normals, vertices, .. } = arrays;
+    Ok(PhotonBatch { range, positions, powers, normals, vertices })
 }
 
 #[cfg(test)]
@@ -81,7 +76,7 @@ mod tests {
     fn batch(n: usize, directions: bool) -> PhotonBatch {
         let a = fuzz::photons(n, directions);
         let positions = (0..n).map(|i| [a.coordinates[0][i], a.coordinates[1][i], a.coordinates[2][i]]).collect();
-        PhotonBatch { range: RANGE, positions, powers: a.powers, normals: a.normals, directions: a.directions }
+        PhotonBatch { range: RANGE, positions, powers: a.powers, normals: a.normals, vertices: a.vertices }
     }
 
     #[test]
@@ -123,6 +118,16 @@ mod tests {
         huge[28..36].copy_from_slice(&1_000_000u64.to_le_bytes());
         let message = decode_batch(&huge, RANGE, false).unwrap_err().to_string();
         assert!(message.contains("announces 1000000 photons in"), "{message}");
+    }
+
+    #[test]
+    fn a_share_that_is_negative_or_not_finite_is_an_error() {
+        for bad in [-1.0, f32::NAN, f32::INFINITY] {
+            let mut b = batch(100, true);
+            b.vertices.as_mut().unwrap().shares[70][1] = bad;
+            let message = decode_batch(&encode_batch(&b), RANGE, true).unwrap_err().to_string();
+            assert_eq!(message, "photon batch: a share in the weights is negative or not finite");
+        }
     }
 
     #[test]

@@ -21,7 +21,7 @@ use crate::settings::RenderSettings;
 /// rays more and adds noise (measured: 0.1 gives the least variance · time on diffuse, glossy and specular rooms).
 const ROULETTE_SHARE: f32 = 0.1;
 
-/// The integrator, with the light sub-path of the sample at hand.
+/// The strategies of bidirectional path tracing, with the light sub-path of the sample at hand.
 pub struct Bdpt<'a> {
     connector: Connector<'a>,
     seed: u64,
@@ -31,51 +31,77 @@ pub struct Bdpt<'a> {
 }
 
 impl<'a> Bdpt<'a> {
-    /// For the samples of a tile.
-    pub fn new(scene: &'a Scene, camera: &'a Camera, settings: &RenderSettings) -> Self {
+    /// For the samples of a tile; `connector` says how merging counts beside these strategies, and how many light paths there
+    /// are.
+    pub fn new(connector: Connector<'a>, settings: &RenderSettings) -> Self {
         Bdpt {
-            connector: Connector::new(scene, camera),
+            connector,
             seed: settings.seed,
             samples: settings.samples,
             max_depth: settings.max_depth.unwrap_or(u32::MAX),
             light_path: Vec::new(),
         }
     }
+    /// Bidirectional path tracing alone, with a light path for each camera sample.
+    pub fn alone(scene: &'a Scene, camera: &'a Camera, settings: &RenderSettings) -> Self {
+        Bdpt::new(Connector::new(scene, camera), settings)
+    }
+    pub(super) fn connector(&self) -> &Connector<'a> {
+        &self.connector
+    }
+    pub(super) fn max_depth(&self) -> u32 {
+        self.max_depth
+    }
 
     /// Radiance along `ray` by all strategies with t ≥ 2; those with t = 1 are added to `light`.
     pub fn trace(&mut self, id: SampleId, ray: Ray, sampler: &mut Sampler, light: &mut LightImage) -> Sample {
         let mut sample = Sample::default();
         let index = id.pixel * u64::from(self.samples) + u64::from(id.sample);
-        light.add_rays(u64::from(self.trace_light_path(index)));
+        light.add_rays(self.trace_light_path(Sampler::new(self.seed, Purpose::LightPath, 0, 0, index)));
         self.look_at_light_path(light);
+        self.trace_camera_path(id, ray, sampler, &mut sample, |_, _, _| ());
+        sample
+    }
+
+    /// Adds to `sample` what the camera path along `ray` finds by strategies with t ≥ 2, and what `visit` adds at each vertex.
+    pub(super) fn trace_camera_path(
+        &self,
+        id: SampleId,
+        ray: Ray,
+        sampler: &mut Sampler,
+        sample: &mut Sample,
+        mut visit: impl FnMut(&Self, &Vertex, &mut Sample),
+    ) {
         let mut random = Stream::new(self.seed, Purpose::Connection, id.sample, id.pixel);
         let walk = self.walk(TransportMode::Radiance, self.max_depth);
         let start = Start::camera(self.connector.camera, self.connector.light_paths, ray);
-        sample.rays += walk.run(&start, sampler, |v, sampler| self.gather(v, sampler, &mut random, &mut sample));
-        sample
+        sample.rays += walk.run(&start, sampler, |v, sampler| {
+            self.gather(v, sampler, &mut random, sample);
+            visit(self, v, sample);
+        });
     }
 
     fn walk(&self, mode: TransportMode, max_length: u32) -> Walk<'a> {
         Walk { scene: self.connector.scene, mode, merging: self.connector.merging, max_length, roulette: true }
     }
 
-    /// Makes light sub-path `index`; returns the rays traced.
-    fn trace_light_path(&mut self, index: u64) -> u32 {
+    /// Makes the light sub-path of `sampler`; returns the rays traced.
+    pub(super) fn trace_light_path(&mut self, mut sampler: Sampler) -> u64 {
         self.light_path.clear();
-        let mut sampler = Sampler::new(self.seed, Purpose::LightPath, 0, 0, index);
         let Some(start) = Start::light(self.connector.scene, &mut sampler) else { return 0 };
         // Its last vertex still needs an edge to the camera.
         let walk = self.walk(TransportMode::Importance, self.max_depth.saturating_sub(1));
         let path = &mut self.light_path;
-        walk.run(&start, &mut sampler, |v, _| {
+        let rays = walk.run(&start, &mut sampler, |v, _| {
             if v.is_connectible() {
                 path.push(*v);
             }
-        })
+        });
+        u64::from(rays)
     }
 
     /// t = 1.
-    fn look_at_light_path(&self, light: &mut LightImage) {
+    pub(super) fn look_at_light_path(&self, light: &mut LightImage) {
         for v in &self.light_path {
             let Some((p, connection)) = self.connector.lens(v) else { continue };
             light.add_rays(1);

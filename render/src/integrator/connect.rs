@@ -181,6 +181,22 @@ impl<'a> Connector<'a> {
         let shadow = shadow_ray(origin, l.point.arrival(origin))?;
         Some(Connection { contribution: Contribution { value, weight: weight(others) }, shadow })
     }
+
+    /// Merging the camera vertex `c` with a light vertex on its surface: light of `power` from `wi`, whose shares √dVCM and
+    /// √dVM are `shares` (ibid. eqs. 42, 50 and 51). The value is over the density of light vertices, still to be divided by
+    /// their emitted number and the area of the disc.
+    #[inline]
+    pub fn merge(&self, c: &Vertex, wi: Vec3, light: Rgb, shares: [f64; 2]) -> Option<Contribution> {
+        let (f, forward) = c.bsdf.eval_pdf(c.wo, wi, TransportMode::Radiance);
+        if f.is_black() {
+            return None;
+        }
+        let (_, reverse) = c.bsdf.eval_pdf(wi, c.wo, TransportMode::Importance);
+        let [vcm, vm] = shares.map(power);
+        let by_light = vcm * self.merging.vc + vm * power(f64::from(forward));
+        let by_camera = c.quantities.vcm * self.merging.vc + c.quantities.vm * power(f64::from(reverse));
+        Some(Contribution { value: c.throughput * f * light, weight: weight(by_light + by_camera) })
+    }
 }
 
 /// The weight of a strategy, given Σ (pᵢ/p)² over all others.

@@ -19,6 +19,7 @@ pub mod progressive;
 pub mod radius;
 pub mod sample;
 pub mod tile;
+pub mod vcm;
 pub mod vertex;
 pub mod whitted;
 

@@ -142,7 +142,7 @@ impl<'a> Start<'a> {
     /// The quantities at the first surface, `point`, which the first ray meets at `distance` (ibid. eqs. 31–33, and for the
     /// lights' own densities 43–45).
     #[inline]
-    pub fn arrived(&self, point: &SurfacePoint, distance: f32) -> Quantities {
+    pub fn arrived(&self, point: &SurfacePoint, distance: f32, merging: Merging) -> Quantities {
         let flight = self.ray.direction;
         let cos = f64::from(flight.dot(point.ng).abs());
         match self.origin {
@@ -157,7 +157,7 @@ impl<'a> Start<'a> {
                 }
                 let pdf = f64::from(light.pdf_li(point.position, -flight, distance));
                 let vc = power(1.0 / (density * f64::from(pmf)));
-                Quantities { vcm: power(pdf / density), vc, vm: 0.0 }
+                Quantities { vcm: power(pdf / density), vc, vm: vc * merging.vc }
             }
         }
     }
@@ -235,7 +235,11 @@ impl Walk<'_> {
                 return length;
             }
             throughput *= interior.transmittance_to(scene, &point, wo, distance);
-            quantities = if length == 1 { start.arrived(&point, distance) } else { quantities.arrived(distance, cos) };
+            quantities = if length == 1 {
+                start.arrived(&point, distance, self.merging)
+            } else {
+                quantities.arrived(distance, cos)
+            };
             visit(&Vertex { point, bsdf, wo, from, distance, throughput, interior, length, quantities }, numbers);
             if length == self.max_length {
                 return length;

@@ -168,6 +168,23 @@ pub fn irradiance_within(
     fixed(map, position, normal, radius_squared, kernel, |_| 1.0)
 }
 
+/// Calls `visit` with each photon of the surface through `position` with normal `normal` within `radius_squared`, in an order
+/// that is a function of map and arguments alone.
+pub fn for_each_on_surface(
+    map: &PhotonMap,
+    position: Vec3,
+    normal: Vec3,
+    radius_squared: f32,
+    mut visit: impl FnMut(u32),
+) {
+    let surface = SameSurface::new(map, position, normal);
+    map.for_each_within(position, radius_squared, |n| {
+        if surface.accepts(n.index) {
+            visit(n.index);
+        }
+    });
+}
+
 /// The photon of `tree` (packed normals `normals`, in tree order) nearest to `position` on the surface through it with normal
 /// `normal`, for looking up precomputed irradiance.
 pub fn nearest_compatible(

@@ -6,7 +6,7 @@ use super::kdtree::{KdTree, MAX_TREE_PHOTONS};
 use super::pack::{decode_direction, decode_normal, decode_rgbe};
 use super::precomputed::PrecomputedIrradiance;
 use super::query::{Neighbour, PhotonSearch};
-use super::{EmissionRange, MapKind, PhotonBatch};
+use super::{EmissionRange, LightVertices, MapKind, PhotonBatch};
 use crate::math::Rgb;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -39,7 +39,7 @@ pub struct PhotonMap {
     tree: KdTree,
     powers: Vec<u32>,
     normals: Vec<u16>,
-    directions: Option<Vec<u32>>,
+    vertices: Option<LightVertices>,
     /// For final gather.
     precomputed: OnceLock<PrecomputedIrradiance>,
     /// For fixed-radius estimates, with the index in tree order of each of its photons.
@@ -61,8 +61,8 @@ pub struct MapParts {
     pub powers: Vec<u32>,
     /// Normals, octahedral 2 × 8 bits.
     pub normals: Vec<u16>,
-    /// Directions towards the light, octahedral 2 × 16 bits.
-    pub directions: Option<Vec<u32>>,
+    /// Of light vertices, what they carry besides.
+    pub vertices: Option<LightVertices>,
 }
 
 /// Why parts make no map.
@@ -105,7 +105,7 @@ impl PhotonMap {
     /// # Panics
     /// When the batch's arrays differ in length, which [`super::merge`] rules out, or with more than 2³² − 1 photons.
     pub fn build(kind: MapKind, merged: PhotonBatch) -> PhotonMap {
-        let PhotonBatch { range, positions, powers, normals, directions } = merged;
+        let PhotonBatch { range, positions, powers, normals, vertices } = merged;
         let (tree, order) = KdTree::build(positions);
         PhotonMap {
             kind,
@@ -113,7 +113,11 @@ impl PhotonMap {
             tree,
             powers: permute(powers, &order),
             normals: permute(normals, &order),
-            directions: directions.map(|d| permute(d, &order)),
+            vertices: vertices.map(|v| LightVertices {
+                directions: permute(v.directions, &order),
+                shares: permute(v.shares, &order),
+                lengths: permute(v.lengths, &order),
+            }),
             precomputed: OnceLock::new(),
             grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
@@ -131,7 +135,7 @@ impl PhotonMap {
     /// # Errors
     /// When lengths differ, or a position is not finite.
     pub fn from_parts(parts: MapParts) -> Result<PhotonMap, MapError> {
-        let MapParts { kind, emitted_count, coordinates, powers, normals, directions } = parts;
+        let MapParts { kind, emitted_count, coordinates, powers, normals, vertices } = parts;
         let expected = coordinates[0].len();
         if expected > MAX_TREE_PHOTONS {
             return Err(MapError::TooMany { kind, actual: expected });
@@ -141,7 +145,9 @@ impl PhotonMap {
             ("z", coordinates[2].len()),
             ("power", powers.len()),
             ("normal", normals.len()),
-            ("direction", directions.as_ref().map_or(expected, Vec::len)),
+            ("direction", vertices.as_ref().map_or(expected, |v| v.directions.len())),
+            ("share", vertices.as_ref().map_or(expected, |v| v.shares.len())),
+            ("length", vertices.as_ref().map_or(expected, |v| v.lengths.len())),
         ];
         if let Some(&(array, actual)) = lengths.iter().find(|(_, n)| *n != expected) {
             return Err(MapError::Length { kind, array, actual, expected });
@@ -157,7 +163,7 @@ impl PhotonMap {
             tree,
             powers,
             normals,
-            directions,
+            vertices,
             precomputed: OnceLock::new(),
             grid: OnceLock::new(),
             default_max_radius: OnceLock::new(),
@@ -172,7 +178,7 @@ impl PhotonMap {
             coordinates: self.tree.into_coordinates(),
             powers: self.powers,
             normals: self.normals,
-            directions: self.directions,
+            vertices: self.vertices,
         }
     }
 
@@ -192,9 +198,9 @@ impl PhotonMap {
     pub fn is_empty(&self) -> bool {
         self.tree.is_empty()
     }
-    /// Whether photons carry the direction they came from.
-    pub fn has_directions(&self) -> bool {
-        self.directions.is_some()
+    /// What light vertices carry besides, in tree order; `None` in a map of photons.
+    pub fn vertices(&self) -> Option<&LightVertices> {
+        self.vertices.as_ref()
     }
     /// The search structure.
     pub fn tree(&self) -> &KdTree {
@@ -210,15 +216,15 @@ impl PhotonMap {
     pub fn power(&self, index: u32) -> Rgb {
         decode_rgbe(self.powers[index as usize])
     }
-    /// Unit normal of the surface at photon `index`, on the side the light came from.
+    /// Unit normal of the surface at photon `index`, on the side the light came from; at a light vertex of its front.
     #[inline]
     pub fn normal(&self, index: u32) -> Vec3 {
         decode_normal(self.normals[index as usize])
     }
-    /// Unit direction from photon `index` towards where its light came from, if the map keeps directions.
+    /// Unit direction from photon `index` towards where its light came from, in a map of light vertices.
     #[inline]
     pub fn direction(&self, index: u32) -> Option<Vec3> {
-        self.directions.as_ref().map(|d| decode_direction(d[index as usize]))
+        self.vertices.as_ref().map(|v| decode_direction(v.directions[index as usize]))
     }
     /// The packed powers, in tree order.
     pub fn packed_powers(&self) -> &[u32] {
@@ -228,11 +234,6 @@ impl PhotonMap {
     pub fn packed_normals(&self) -> &[u16] {
         &self.normals
     }
-    /// The packed directions, in tree order.
-    pub fn packed_directions(&self) -> Option<&[u32]> {
-        self.directions.as_deref()
-    }
-
     /// [`choose_max_radius`], remembered for the k it is first asked for.
     pub fn default_max_radius(&self, k: u32) -> f32 {
         let &(known, radius) = self.default_max_radius.get_or_init(|| (k, choose_max_radius(self, k)));
@@ -243,12 +244,12 @@ impl PhotonMap {
     pub fn memory_bytes(&self) -> u64 {
         let cache = self.precomputed.get().map_or(0, PrecomputedIrradiance::memory_bytes);
         let grid = self.grid.get().map_or(0, |(grid, order)| grid.memory_bytes() + 4 * order.len() as u64);
-        Self::memory_bytes_for(self.stored_count(), self.has_directions()) + cache + grid
+        Self::memory_bytes_for(self.stored_count(), self.vertices.is_some()) + cache + grid
     }
     /// Memory of a map of `count` photons, without the precomputed irradiance ([`PrecomputedIrradiance::memory_bytes_for`]) and
     /// the hash grid (18 bytes a photon).
-    pub fn memory_bytes_for(count: usize, directions: bool) -> u64 {
-        let payload = size_of::<u32>() + size_of::<u16>() + if directions { size_of::<u32>() } else { 0 };
+    pub fn memory_bytes_for(count: usize, vertices: bool) -> u64 {
+        let payload = size_of::<u32>() + size_of::<u16>() + if vertices { 4 + 8 + 1 } else { 0 };
         KdTree::memory_bytes_for(count) + (count * payload) as u64
     }
 
@@ -256,7 +257,7 @@ impl PhotonMap {
     pub fn digest(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
         hasher.update(b"gatherlight photon map 1");
-        hasher.update(&[self.kind as u8, u8::from(self.has_directions())]);
+        hasher.update(&[self.kind as u8, u8::from(self.vertices.is_some())]);
         hasher.update(&self.emitted_count.to_le_bytes());
         hasher.update(&(self.stored_count() as u64).to_le_bytes());
         for axis in 0..3 {
@@ -264,7 +265,11 @@ impl PhotonMap {
         }
         hash_words(&mut hasher, &self.powers, |v| v.to_le_bytes());
         hash_words(&mut hasher, &self.normals, |v| v.to_le_bytes());
-        hash_words(&mut hasher, self.directions.as_deref().unwrap_or(&[]), |v| v.to_le_bytes());
+        if let Some(v) = &self.vertices {
+            hash_words(&mut hasher, &v.directions, |v| v.to_le_bytes());
+            hash_words(&mut hasher, v.shares.as_flattened(), |v| v.to_le_bytes());
+            hasher.update(&v.lengths);
+        }
         *hasher.finalize().as_bytes()
     }
 

@@ -3,7 +3,7 @@
 //! The result is a function of the photons alone: it is the same for every partition of the paths, every order of arrival
 //! and every number of workers. A path that is missing or there twice is an error, never a darker or brighter image.
 
-use super::{EmissionRange, MapKind, PhotonBatch};
+use super::{EmissionRange, LightVertices, MapKind, PhotonBatch};
 use std::collections::BTreeMap;
 
 /// Why batches do not make one map. Ranges are of photon paths, [first, end).
@@ -81,7 +81,7 @@ pub struct Merger {
     /// By first path; disjoint, none empty.
     runs: BTreeMap<u64, Run>,
     blocks: Vec<Block>,
-    directions: Option<bool>,
+    vertices: Option<bool>,
     covered: u64,
     stored: usize,
 }
@@ -89,7 +89,7 @@ pub struct Merger {
 impl Merger {
     /// A merger for the photon paths of `total`.
     pub fn new(kind: MapKind, total: EmissionRange) -> Self {
-        Merger { kind, total, runs: BTreeMap::new(), blocks: Vec::new(), directions: None, covered: 0, stored: 0 }
+        Merger { kind, total, runs: BTreeMap::new(), blocks: Vec::new(), vertices: None, covered: 0, stored: 0 }
     }
     /// Paths covered so far.
     pub fn covered_count(&self) -> u64 {
@@ -129,7 +129,7 @@ impl Merger {
                 MergeError::Overlap { kind, first: other, second: range }
             });
         }
-        self.directions = Some(batch.directions.is_some());
+        self.vertices = Some(batch.vertices.is_some());
         self.covered += range.len();
         self.stored += batch.len();
         let run = append(&mut self.blocks, &batch);
@@ -139,15 +139,15 @@ impl Merger {
 
     fn malformed(&self, batch: &PhotonBatch) -> Option<&'static str> {
         let n = batch.len();
-        let directions = batch.directions.as_ref();
-        if batch.powers.len() != n || batch.normals.len() != n || directions.is_some_and(|d| d.len() != n) {
+        let vertices = batch.vertices.as_ref();
+        if batch.powers.len() != n || batch.normals.len() != n || vertices.is_some_and(|v| !v.have_length(n)) {
             return Some("its arrays differ in length");
         }
         if batch.range.is_empty() && n > 0 {
             return Some("it has photons but no paths");
         }
-        if !batch.range.is_empty() && self.directions.is_some_and(|d| d != directions.is_some()) {
-            return Some("it differs from the other batches in having directions");
+        if !batch.range.is_empty() && self.vertices.is_some_and(|v| v != vertices.is_some()) {
+            return Some("it holds photons and the others light vertices, or the other way round");
         }
         None
     }
@@ -169,7 +169,7 @@ impl Merger {
             let missing = EmissionRange { first: next, end: self.total.end };
             return Err(MergeError::Gap { kind: self.kind, missing });
         }
-        let merged = PhotonBatch::new(self.total, self.directions.unwrap_or(false));
+        let merged = PhotonBatch::new(self.total, self.vertices.unwrap_or(false));
         Ok(concatenate(merged, self.stored, self.runs, self.blocks))
     }
 }
@@ -178,7 +178,8 @@ impl Merger {
 /// no memory.
 const BLOCK_BYTES: usize = 48 << 20;
 
-/// Photons of some batches in order of arrival: of each batch all positions, then powers, normals and directions.
+/// Photons of some batches in order of arrival: of each batch all positions, then powers, normals and what light
+/// vertices carry.
 #[derive(Debug)]
 struct Block {
     bytes: Vec<u8>,
@@ -198,12 +199,15 @@ struct Run {
 
 /// Copies a batch to the end of the last block, or of a new one where it does not fit.
 fn append(blocks: &mut Vec<Block>, batch: &PhotonBatch) -> Run {
-    let directions = batch.directions.as_deref().unwrap_or(&[]);
-    let parts: [&[u8]; 4] = [
+    let none = LightVertices::default();
+    let vertices = batch.vertices.as_ref().unwrap_or(&none);
+    let parts: [&[u8]; 6] = [
         bytemuck::cast_slice(&batch.positions),
         bytemuck::cast_slice(&batch.powers),
         bytemuck::cast_slice(&batch.normals),
-        bytemuck::cast_slice(directions),
+        bytemuck::cast_slice(&vertices.directions),
+        bytemuck::cast_slice(&vertices.shares),
+        &vertices.lengths,
     ];
     let size = parts.iter().map(|p| p.len()).sum::<usize>();
     if blocks.last().is_none_or(|b| b.bytes.capacity() - b.bytes.len() < size) {
@@ -227,8 +231,8 @@ fn concatenate(
     merged.positions.reserve_exact(stored);
     merged.powers.reserve_exact(stored);
     merged.normals.reserve_exact(stored);
-    if let Some(d) = &mut merged.directions {
-        d.reserve_exact(stored);
+    if let Some(v) = &mut merged.vertices {
+        v.reserve_exact(stored);
     }
     for run in runs.into_values() {
         let block = &mut blocks[run.block];
@@ -236,8 +240,10 @@ fn concatenate(
         rest = take(rest, run.photons, &mut merged.positions);
         rest = take(rest, run.photons, &mut merged.powers);
         rest = take(rest, run.photons, &mut merged.normals);
-        if let Some(d) = &mut merged.directions {
-            take(rest, run.photons, d);
+        if let Some(v) = &mut merged.vertices {
+            rest = take(rest, run.photons, &mut v.directions);
+            rest = take(rest, run.photons, &mut v.shares);
+            take(rest, run.photons, &mut v.lengths);
         }
         block.runs -= 1;
         if block.runs == 0 {
@@ -271,7 +277,10 @@ mod tests {
                 b.positions.push([path as f32, bounce as f32, 0.0]);
                 b.powers.push(path as u32);
                 b.normals.push(bounce as u16);
-                b.directions.as_mut().unwrap().push(!path as u32);
+                let v = b.vertices.as_mut().unwrap();
+                v.directions.push(!path as u32);
+                v.shares.push([path as f32, bounce as f32]);
+                v.lengths.push(bounce as u8);
             }
         }
         b
@@ -345,8 +354,11 @@ mod tests {
         b.powers.pop();
         assert!(refuse(b).contains("differ in length"));
         let mut b = batch(range(5, 9));
-        b.directions = None;
-        assert!(refuse(b).contains("directions"));
+        b.vertices = None;
+        assert!(refuse(b).contains("light vertices"));
+        let mut b = batch(range(5, 9));
+        b.vertices.as_mut().unwrap().lengths.pop();
+        assert!(refuse(b).contains("differ in length"));
         let mut b = batch(range(5, 9));
         b.range = range(5, 5);
         assert!(refuse(b).contains("no paths"));

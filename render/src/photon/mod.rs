@@ -16,6 +16,6 @@ pub mod range;
 mod testing;
 pub mod trace;
 
-pub use batch::{MapKind, PhotonBatch};
+pub use batch::{LightVertices, MapKind, PhotonBatch};
 pub use map::{PhotonMap, PhotonMaps};
 pub use range::EmissionRange;

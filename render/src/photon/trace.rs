@@ -61,20 +61,7 @@ pub struct Photon {
 impl Emission<'_> {
     /// Traces the paths of `range` on the current rayon pool. The result does not depend on the number of threads.
     pub fn trace(&self, range: EmissionRange) -> PhotonBatch {
-        let tasks = range.len().div_ceil(PATHS_PER_TASK);
-        let parts: Vec<PhotonBatch> = (0..tasks)
-            .into_par_iter()
-            .map(|t| {
-                let first = range.first + t * PATHS_PER_TASK;
-                let end = range.end.min(first + PATHS_PER_TASK);
-                let mut batch = PhotonBatch::new(EmissionRange { first, end }, false);
-                for index in first..end {
-                    self.trace_path(index, &mut |p| store(&mut batch, p));
-                }
-                batch
-            })
-            .collect();
-        concatenate(range, parts)
+        in_parallel(range, false, |index, batch| self.trace_path(index, &mut |p| store(batch, p)))
     }
 
     /// Traces path `index` and hands every stored photon to `sink`, in bounce order.
@@ -189,16 +176,39 @@ fn store(batch: &mut PhotonBatch, p: &Photon) {
     batch.normals.push(encode_normal(p.normal));
 }
 
-fn concatenate(range: EmissionRange, parts: Vec<PhotonBatch>) -> PhotonBatch {
-    let mut whole = PhotonBatch::new(range, false);
+/// The batch of the paths `range`, of photons or of light `vertices`: `trace` appends what a path leaves. In parallel on the
+/// current rayon pool, in path order.
+pub fn in_parallel(range: EmissionRange, vertices: bool, trace: impl Fn(u64, &mut PhotonBatch) + Sync) -> PhotonBatch {
+    let tasks = range.len().div_ceil(PATHS_PER_TASK);
+    let parts: Vec<PhotonBatch> = (0..tasks)
+        .into_par_iter()
+        .map(|t| {
+            let first = range.first + t * PATHS_PER_TASK;
+            let end = range.end.min(first + PATHS_PER_TASK);
+            let mut batch = PhotonBatch::new(EmissionRange { first, end }, vertices);
+            (first..end).for_each(|index| trace(index, &mut batch));
+            batch
+        })
+        .collect();
+    concatenate(range, vertices, parts)
+}
+
+fn concatenate(range: EmissionRange, vertices: bool, parts: Vec<PhotonBatch>) -> PhotonBatch {
+    let mut whole = PhotonBatch::new(range, vertices);
     let count = parts.iter().map(PhotonBatch::len).sum();
     whole.positions.reserve_exact(count);
     whole.powers.reserve_exact(count);
     whole.normals.reserve_exact(count);
+    if let Some(v) = &mut whole.vertices {
+        v.reserve_exact(count);
+    }
     for mut part in parts {
         whole.positions.append(&mut part.positions);
         whole.powers.append(&mut part.powers);
         whole.normals.append(&mut part.normals);
+        if let (Some(to), Some(from)) = (&mut whole.vertices, &part.vertices) {
+            to.extend(from);
+        }
     }
     whole
 }

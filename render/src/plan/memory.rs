@@ -8,7 +8,7 @@ use crate::film::ChannelSet;
 use crate::photon::map::PhotonMap;
 use crate::photon::precomputed::PrecomputedIrradiance;
 use crate::scene::Scene;
-use crate::settings::RenderSettings;
+use crate::settings::{Method, RenderSettings};
 
 /// What a process holds besides scene, maps and film: code, threads, network buffers.
 const PROCESS_BYTES: u64 = 11 << 20;
@@ -25,6 +25,8 @@ const WAITING_BYTES_PER_PHOTON: u64 = 20;
 const TRAVELLING_BYTES_PER_PHOTON: u64 = 50;
 /// Photons on their way at once, at most: two leases of the scheduler's largest size.
 const TRAVELLING_PHOTONS: u64 = 1 << 20;
+/// What a light vertex takes beyond a photon, in memory and encoded: direction, two shares and length.
+const VERTEX_BYTES: u64 = 4 + 8 + 1;
 /// An encoded photon.
 const ENCODED_BYTES_PER_PHOTON: u64 = 10;
 /// The image, and what its encoding holds besides, in films.
@@ -45,12 +47,15 @@ pub(super) struct Memory {
 /// Predicts from the maps' emission passes.
 pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, caustic: u64) -> Memory {
     let photons = global + caustic;
-    let gathers = settings.final_gather > 0 && global > 0;
+    let gathers = settings.method == Method::Photon && settings.final_gather > 0 && global > 0;
     let cache = if gathers { PrecomputedIrradiance::memory_bytes_for(global, settings.k) } else { 0 };
-    let maps = PhotonMap::memory_bytes_for(photons as usize, false) + cache;
-    let encoded = photons * ENCODED_BYTES_PER_PHOTON;
-    let travelling = photons.min(TRAVELLING_PHOTONS) * TRAVELLING_BYTES_PER_PHOTON;
-    let building = photon_bytes(global, caustic);
+    let vertices = settings.method == Method::Vcm;
+    let more = if vertices { VERTEX_BYTES } else { 0 };
+    let maps = PhotonMap::memory_bytes_for(photons as usize, vertices) + cache;
+    let encoded = photons * (ENCODED_BYTES_PER_PHOTON + more);
+    // Merged and permuted, a light vertex is there twice.
+    let travelling = photons.min(TRAVELLING_PHOTONS) * (TRAVELLING_BYTES_PER_PHOTON + 2 * more);
+    let building = photon_bytes(global, caustic) + photons * 2 * more;
     let base = process(scene);
     Memory {
         worker: base + (maps + encoded).max(travelling),
@@ -93,7 +98,6 @@ fn film(settings: &RenderSettings) -> u64 {
 mod tests {
     use super::*;
     use crate::photon::trace::Storage;
-    use crate::settings::Method;
 
     #[test]
     fn a_method_with_rounds_holds_the_photons_of_one() {

@@ -12,7 +12,10 @@ fn map_of(photons: impl IntoIterator<Item = (Vec3, Vec3)>, emitted: u64) -> Phot
         b.positions.push(p.to_array());
         b.powers.push(encode_rgbe(Rgb::WHITE));
         b.normals.push(encode_normal(n));
-        b.directions.as_mut().unwrap().push(encode_direction(n));
+        let v = b.vertices.as_mut().unwrap();
+        v.directions.push(encode_direction(n));
+        v.shares.push([0.0; 2]);
+        v.lengths.push(1);
     }
     PhotonMap::build(MapKind::Global, b)
 }
