@@ -121,7 +121,9 @@ impl Plan {
     /// Sums what the phases hold at once; the constants are peaks measured on single maps, films and meshes, and
     /// `tests/tests/memory.rs` holds the sum against a whole process.
     fn predict_memory(&mut self, scene: &Scene, settings: &RenderSettings) {
-        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored);
+        // The maps of one round at a time.
+        let rounds = if settings.method.has_rounds() { u64::from(settings.rounds.max(1)) } else { 1 };
+        let stored = |e: &Option<EmissionPlan>| e.map_or(0, |e| e.expected_stored.div_ceil(rounds));
         let (global, caustic) = (stored(&self.global), stored(&self.caustic));
         let photons = global + caustic;
         let cache = if settings.final_gather > 0 { 4 * global } else { 0 };
@@ -135,9 +137,15 @@ impl Plan {
         // One map is built while the batches of the other wait.
         let larger = global.max(caustic);
         let building = larger * BUILD_BYTES_PER_PHOTON + (photons - larger) * WAITING_BYTES_PER_PHOTON;
-        self.broadcast_bytes = encoded;
-        self.worker_bytes = base + maps + encoded;
-        self.coordinator_bytes = base + building.max(encoded) + film;
+        if settings.has_independent_rounds() {
+            // Each worker is a process of its own for a whole round.
+            self.worker_bytes = base + building.max(maps) + film;
+            self.coordinator_bytes = base + film;
+        } else {
+            self.broadcast_bytes = encoded * rounds;
+            self.worker_bytes = base + maps + encoded;
+            self.coordinator_bytes = base + building.max(encoded) + film;
+        }
         self.single_process_bytes = base + building.max(maps + encoded) + film;
     }
 }
@@ -267,8 +275,15 @@ fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool
 }
 
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
-    let (w, h, s) = (settings.width, settings.height, settings.samples);
-    entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
+    let (w, h, method) = (settings.width, settings.height, settings.method.name());
+    let (what, effort) = match settings.method {
+        Method::Mlt => {
+            ("Markov chains", format!("{} chains, {} mutations a pixel", settings.chains, settings.mutations))
+        }
+        m if m.has_rounds() => ("gather pass", format!("{} rounds, one sample each", settings.rounds)),
+        _ => ("gather pass", format!("{} samples each", settings.samples)),
+    };
+    entry(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));
     if settings.method == Method::Whitted {
         let why = "method whitted follows light from lamps to one diffuse surface, mirrors and glass to the camera";
         entry("indirect light", false, why.into());
