@@ -79,6 +79,15 @@ fn the_plan_chooses_a_method_and_says_why() {
     assert_eq!(method("--method path"), ("path".to_string(), "asked for".to_string()));
     let (name, reason) = method("--max-depth 4 --samples 2");
     assert!(name != "photon" && reason.contains("--max-depth"), "{name}: {reason}");
+    let diffuse = scene("cornell-diffuse.glb");
+    let plan = |options: &str| run(dir.path(), &format!("plan {} {options} --json", diffuse.display())).json();
+    let bounded = plan("--photons 10M --memory 8M");
+    let words: Vec<&str> = bounded["settings"].as_str().unwrap().split(' ').collect();
+    assert_eq!(words[1], "progressive");
+    let rounds: u64 = words[words.iter().position(|w| *w == "--rounds").unwrap() + 1].parse().unwrap();
+    // What all photons would take, in rounds of 8 MiB; the next lower number of rounds would not do.
+    let photons = bounded["plan"]["global"]["expected_stored"].as_u64().unwrap();
+    assert!(rounds > 64 && rounds.abs_diff(photons * 74 / (8 << 20)) <= 1, "{rounds} rounds of {photons} photons");
     // Whether the scene is read for the camera's shape or not makes no difference.
     assert_eq!(method("--width 8 --height 8"), method(""));
     let text = run(dir.path(), "plan triangle.gltf");

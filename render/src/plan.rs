@@ -250,8 +250,15 @@ fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool
 }
 
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
-    let (w, h, s) = (settings.width, settings.height, settings.samples);
-    entry("gather pass", true, format!("{w} × {h} pixels, {s} samples each, method {}", settings.method.name()));
+    let (w, h, method) = (settings.width, settings.height, settings.method.name());
+    let (what, effort) = match settings.method {
+        Method::Mlt => {
+            ("Markov chains", format!("{} chains, {} mutations a pixel", settings.chains, settings.mutations))
+        }
+        m if m.has_rounds() => ("gather pass", format!("{} rounds, one sample each", settings.rounds)),
+        _ => ("gather pass", format!("{} samples each", settings.samples)),
+    };
+    entry(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));
     if settings.method == Method::Whitted {
         let why = "method whitted follows light from lamps to one diffuse surface, mirrors and glass to the camera";
         entry("indirect light", false, why.into());

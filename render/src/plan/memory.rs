@@ -57,6 +57,11 @@ pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, cau
     let travelling = photons.min(TRAVELLING_PHOTONS) * (TRAVELLING_BYTES_PER_PHOTON + 2 * more);
     let building = photon_bytes(global, caustic) + photons * 2 * more;
     let base = process(scene);
+    if settings.has_independent_rounds() {
+        // Each worker computes whole rounds by itself, and only images travel.
+        let round = base + building.max(maps) + film(settings);
+        return Memory { worker: round, coordinator: base + film(settings), single_process: round, broadcast: 0 };
+    }
     Memory {
         worker: base + (maps + encoded).max(travelling),
         coordinator: base + travelling + building.max(encoded) + film(settings),

@@ -205,8 +205,10 @@ impl Method {
     pub fn refuse_layers(self, layers: &[Layer]) -> Result<(), SettingsError> {
         let Some(layer) = layers.iter().find(|l| !self.layers().contains(l)) else { return Ok(()) };
         let own: Vec<String> = self.layers().iter().map(|l| l.name().into()).collect();
-        let own = if own.is_empty() { vec!["none".into()] } else { own };
-        let message = format!("method {} has no {}; it has {}", self.name(), layer.name(), enumerate(&own));
+        let message = match own.as_slice() {
+            [] => format!("method {} has no layers", self.name()),
+            own => format!("method {} has no {}; it has {}", self.name(), layer.name(), enumerate(own)),
+        };
         Err(SettingsError { setting: "layers", message })
     }
 }
