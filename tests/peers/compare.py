@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+"""Error against CPU time of `gatherlight render` and of its peers, in turn on this machine: a table in Markdown.
+
+compare.py [--scenes A,B] [--budgets 2,7,21] [--threads 2] [--methods M,N] [--peers P,Q] [--update docs/comparison.md]
+
+For every scene, each peer and each method renders for each budget of CPU seconds (user and system time of all threads), and
+is compared with tests/reference: relMSE = mean((a − r)²/(r² + 0.01)), and in brackets the same without the worst 0.1 % of the
+pixels. Peers are stopped when a budget is used; their loading, and Mitsuba's compilation, do not count. `gatherlight render`
+counts whole, from start to exit; its work is scaled until it takes within 10 % of the budget, and the seconds taken are what
+enters the times to relMSE 1e-2 and 1e-3, interpolated between budgets on the error curve (straight in logarithms).
+"""
+import argparse
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import tempfile
+
+import error
+import exr
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROOT = os.path.dirname(os.path.dirname(HERE))
+SCENES = ["cornell-diffuse", "cornell-caustic", "caustic-ring", "rough-gold-ring", "hidden-lamp", "door-ajar", "pool",
+          "glossy-plates"]
+TARGETS = [1e-2, 1e-3]
+
+
+def photons(each, caustic):
+    return lambda n: ["--photons", str(int(each * n)), "--caustic-photons", str(int(caustic * n))]
+
+
+# Options of each method for n units of work. What is not named is left to its default.
+METHODS = {
+    "path": lambda n: ["--samples", str(n)],
+    "bdpt": lambda n: ["--samples", str(n)],
+    "mlt": lambda n: ["--mutations", str(n)],
+    "photon": lambda n: ["--samples", str(n)] + photons(15_625, 31_250)(n),
+    "progressive": lambda n: ["--rounds", str(n)] + photons(100_000, 100_000)(n),
+    "vcm": lambda n: ["--rounds", str(n), "--photons", str(65_536 * n)],
+}
+MITSUBA = {f"mitsuba {i} ({v.split('_')[0]})": (i, v) for v in ("llvm_ad_rgb", "scalar_rgb") for i in ("path", "ptracer")}
+LUXCORE = {"luxcore bidir": "bidir", "luxcore path + photongi": "photongi"}
+
+
+def run_timed(command):
+    """CPU seconds of a command that must succeed."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    err = process.stderr.read().decode(errors="replace")
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(err.strip().splitlines()[-1] if err.strip() else f"exit code {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def errors(image, reference):
+    c = error.compare(exr.read(image), reference)
+    return c["relMSE"], c["relMSE_trim999"], c["bias_ratio"] - 1
+
+
+def gatherlight(a, scene, method, reference, work):
+    out, points = os.path.join(work, "ours.exr"), []
+    height = reference.shape[0]
+
+    def render(n):
+        return run_timed([a.gatherlight, "render", f"{ROOT}/scenes/{scene}.glb", "--method", method, "--height", str(height),
+                          "--threads", str(a.threads), "--quiet", "-o", out] + METHODS[method](n))
+
+    n, used = 4, render(4)
+    for budget in a.budgets:
+        for _ in range(4):
+            if abs(used / budget - 1) < 0.1:
+                break
+            n = max(1, round(n * min(16.0, budget / used)))
+            used = render(n)
+        points.append((used, *errors(out, reference)))
+    return points
+
+
+def peer(a, command, reference, work):
+    out = os.path.join(work, "peer.exr")
+    budgets = ",".join(f"{b:g}" for b in a.budgets)
+    command = [sys.executable] + command + ["--cpu", budgets, "--res", str(reference.shape[0]), "--threads", str(a.threads),
+                                            "--out", out]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3600)
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    if done.returncode or not lines:
+        said = (done.stderr or done.stdout).strip().splitlines()
+        raise RuntimeError(said[-1] if said else "no output")
+    return [(line["cpu_s"], *errors(os.path.join(work, line["out"]), reference)) for line in lines]
+
+
+def time_to(points, target):
+    """CPU seconds to an error: between the budgets, or which side of them."""
+    points = [(t, e) for t, e, *_ in points]
+    if points[0][1] <= target:
+        return f"< {points[0][0]:.1f}"
+    for (t0, e0), (t1, e1) in zip(points, points[1:]):
+        if e1 <= target:
+            share = math.log(e0 / target) / math.log(e0 / e1)
+            return f"{t0 * (t1 / t0) ** share:.1f}"
+    return f"> {points[-1][0]:.0f}"
+
+
+def built_methods(a):
+    text = subprocess.run([a.gatherlight, "render", "--help"], capture_output=True, text=True).stdout
+    return [m for m in a.methods if re.search(rf"\b{m}\b", text)]
+
+
+def table(a, scene, rows):
+    head = " | ".join(f"{b:g} s" for b in a.budgets)
+    to = " | ".join(f"s to {t:.0e}".replace("e-0", "e-") for t in TARGETS)
+    lines = [f"### {scene}", "", f"| renderer | {head} | bias at {a.budgets[-1]:g} s | {to} |", "|---" * (4 + len(a.budgets)) + "|"]
+    for name, points in rows:
+        if isinstance(points, str):
+            lines.append(f"| {name} | {points} " + "| " * (len(a.budgets) + 2) + "|")
+            continue
+        cells = [f"{e:.1e} ({trimmed:.1e})" for _, e, trimmed, _ in points]
+        cells += [f"{100 * points[-1][3]:+.2f} %"] + [time_to(points, t) for t in TARGETS]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def scene_rows(a, scene, work):
+    reference = exr.read(f"{ROOT}/tests/reference/{scene}.exr")
+    file, jobs = f"{ROOT}/scenes/{scene}.glb", []
+    jobs += [(f"**{m}**", lambda m=m: gatherlight(a, scene, m, reference, work)) for m in built_methods(a)]
+    for name, (integrator, variant) in MITSUBA.items():
+        command = [f"{HERE}/mitsuba_render.py", file, "--integrator", integrator, "--variant", variant]
+        if variant.startswith("scalar"):
+            command += ["--pass-samples", "1e5"]
+        jobs.append((name, lambda c=command: peer(a, c, reference, work)))
+    for name, method in LUXCORE.items():
+        jobs.append((name, lambda c=[f"{HERE}/luxcore_render.py", file, "--method", method]: peer(a, c, reference, work)))
+    rows = []
+    for name, job in jobs:
+        if a.peers is not None and not name.startswith("**") and not any(name.startswith(p) for p in a.peers):
+            continue
+        try:
+            rows.append((name, job()))
+        except (RuntimeError, subprocess.TimeoutExpired) as e:
+            rows.append((name, f"not run: {e}"))
+        print(scene, rows[-1], file=sys.stderr, flush=True)
+    return rows
+
+
+def update(path, text):
+    """Replaces what stands between the marks of a Markdown file."""
+    begin, end = "<!-- table: begin -->\n", "<!-- table: end -->"
+    with open(path) as f:
+        old = f.read()
+    before, rest = old.split(begin)
+    with open(path, "w") as f:
+        f.write(before + begin + text + end + rest.split(end)[1])
+
+
+def main():
+    ap = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = lambda s: s.split(",") if s else []
+    ap.add_argument("--scenes", type=words, default=SCENES)
+    ap.add_argument("--budgets", type=lambda s: sorted(float(b) for b in s.split(",")), default=[2.0, 7.0, 21.0])
+    ap.add_argument("--threads", type=int, default=2)
+    ap.add_argument("--methods", type=words, default=list(METHODS))
+    ap.add_argument("--peers", type=words, help="beginnings of the names of those to run; default: all")
+    ap.add_argument("--gatherlight", default=f"{ROOT}/target/release/gatherlight")
+    ap.add_argument("--update", help="Markdown file whose table is replaced")
+    a = ap.parse_args()
+    texts = []
+    with tempfile.TemporaryDirectory() as work:
+        for scene in a.scenes:
+            if not os.path.exists(f"{ROOT}/tests/reference/{scene}.exr"):
+                print(f"{scene}: no reference, left out", file=sys.stderr)
+                continue
+            texts.append(table(a, scene, scene_rows(a, scene, work)))
+    text = "\n" + "\n".join(texts) + "\n"
+    print(text)
+    if a.update:
+        update(a.update, text)
+
+
+if __name__ == "__main__":
+    main()
