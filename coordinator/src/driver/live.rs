@@ -253,7 +253,7 @@ mod tests {
     fn empty_map() -> PhotonMap {
         let range = EmissionRange { first: 0, end: 1 };
         let (positions, powers, normals) = (Vec::new(), Vec::new(), Vec::new());
-        PhotonMap::build(MapKind::Global, PhotonBatch { range, positions, powers, normals, directions: None })
+        PhotonMap::build(MapKind::Global, PhotonBatch { range, positions, powers, normals, vertices: None })
     }
 
     #[test]
