@@ -154,11 +154,11 @@ impl<'a> Bdpt<'a> {
 fn roulette(mut connection: Connection, sample: &Sample, random: &mut Stream) -> Option<Connection> {
     let worth = ROULETTE_SHARE * sample.direct.max_component();
     let gain = connection.contribution.weighted().max_component();
-    // Also where either is not a number.
-    if !(gain < worth) {
+    let survival = gain / worth;
+    // Also where it is not a number.
+    if survival >= 1.0 || survival.is_nan() {
         return Some(connection);
     }
-    let survival = gain / worth;
     if random.next_f32() >= survival {
         return None;
     }
