@@ -77,8 +77,6 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         ("--chains 0", ["--chains", "1 … 16777216"]),
         ("--large-step 0", ["--large-step", "above 0"]),
         ("--memory 64M --k 20", ["--k (photon)", "--memory (progressive)"]),
-        ("--memory 1 --photons 1G", ["--memory", "would need"]),
-        ("--memory 100k --photons 1M --rounds 2", ["--memory", "--rounds is 2"]),
         ("--mutations 2 --layers depth", ["--method: no method takes all", "--mutations (mlt)"]),
         ("--direct-from-map --final-gather 2", ["--final-gather", "--direct-from-map"]),
         ("--direct-from-map --layers caustic", ["--layers", "no caustic"]),

@@ -88,6 +88,9 @@ fn the_plan_chooses_a_method_and_says_why() {
     // What all photons would take, in rounds of 8 MiB; the next lower number of rounds would not do.
     let photons = bounded["plan"]["global"]["expected_stored"].as_u64().unwrap();
     assert!(rounds > 64 && rounds.abs_diff(photons * 74 / (8 << 20)) <= 1, "{rounds} rounds of {photons} photons");
+    let refused = |options: &str| run(dir.path(), &format!("plan {} {options}", diffuse.display()));
+    refused("--photons 10M --memory 1").says(2, &["--memory", "would need", "emit fewer --photons"]);
+    refused("--photons 10M --memory 8M --rounds 2").says(2, &["--memory: 8.00 MiB needs", "--rounds is 2"]);
     // Whether the scene is read for the camera's shape or not makes no difference.
     assert_eq!(method("--width 8 --height 8"), method(""));
     let text = run(dir.path(), "plan triangle.gltf");
