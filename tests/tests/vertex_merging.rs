@@ -164,7 +164,7 @@ fn behind_glass() -> SceneDescription {
 #[test]
 fn specular_diffuse_specular_light_is_that_of_photon_mapping() {
     let radius = Some(0.05);
-    let photons = 15_000 * 16;
+    let photons = 6_000 * 16;
     let progressive = RenderSettings {
         rounds: 16,
         photons,
