@@ -245,6 +245,36 @@ fn walked_on(c: &Vertex, l: &Vertex, merging: Merging) -> Option<Vertex> {
     (forward > 0.0).then_some(Vertex { wo: -wi, from, distance, throughput, quantities, length, ..*l })
 }
 
+fn cos_of(light: &Light, flight: Vec3) -> f64 {
+    match light {
+        Light::Area(a) => f64::from(flight.dot(a.normal).abs()),
+        _ => 1.0,
+    }
+}
+
+/// s = 1 and s = 0 at every vertex of camera sub-path `i`.
+fn check_camera_ends(check: &mut Check, connector: &Connector, camera_path: &[Vertex], dirac: &[Vec<bool>; 2], i: u64) {
+    let (scene, camera) = (connector.scene, connector.camera);
+    for b in 1..=camera_path.len() {
+        let (e, v) = (&camera_path[..b], &camera_path[b - 1]);
+        // s = 1.
+        let mut numbers = Sampler::new(3, Purpose::Test, b as u32, i, 0);
+        let seen = LightDirection::sample(scene, &v.point, &mut numbers.clone());
+        if let (Some(c), Some(l)) = (connector.next_event(v, &mut numbers), seen) {
+            let (light, pmf) = (&scene.lights.as_slice()[l.light], f64::from(l.pmf));
+            let nodes = join(&[], e, Some((l.wi, l.distance)), &[Vec::new(), dirac[1][..b - 1].to_vec()]);
+            let path = FullPath { nodes, light, pmf, cos_light: cos_of(light, l.wi) };
+            check.compare(&path, camera, 1, c.contribution);
+        }
+        // s = 0.
+        if let (Some(c), Some((light, pmf)), true) = (connector.emission(v), v.light(scene), b > 1) {
+            let nodes = join(&[], &e[..b - 1], Some((-v.wo, v.distance)), dirac);
+            let (pmf, cos_light) = (f64::from(pmf), cos_of(light, v.wo));
+            check.compare(&FullPath { nodes, light, pmf, cos_light }, camera, 0, c);
+        }
+    }
+}
+
 fn check_room(name: &'static str, scene: &Scene, camera: &Camera, techniques: Techniques, count: u64) -> Check {
     let merging = techniques.merging();
     let connector = Connector { scene, camera, merging, light_paths: LIGHT_PATHS };
@@ -254,10 +284,6 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, techniques: Te
         let Some(start) = Start::light(scene, &mut sampler) else { continue };
         let Origin::Light { light, pmf } = start.origin else { unreachable!("a light path starts at a light") };
         let (light_path, light_dirac) = walk(scene, TransportMode::Importance, merging, &start, &mut sampler);
-        let cos_of = |light: &Light, flight: Vec3| match light {
-            Light::Area(a) => f64::from(flight.dot(a.normal).abs()),
-            _ => 1.0,
-        };
         let mut sampler = Sampler::new(3, Purpose::Camera, 0, i, 0);
         let [x, y] = sampler.next_2d();
         let view = Start::camera(camera, LIGHT_PATHS, camera.ray(x * 24.0, y * 24.0));
@@ -293,28 +319,7 @@ fn check_room(name: &'static str, scene: &Scene, camera: &Camera, techniques: Te
                 }
             }
         }
-        for b in 1..=camera_path.len() {
-            let (e, v) = (&camera_path[..b], &camera_path[b - 1]);
-            // s = 1.
-            let mut numbers = Sampler::new(3, Purpose::Test, b as u32, i, 0);
-            let seen = LightDirection::sample(scene, &v.point, &mut numbers.clone());
-            if let (Some(c), Some(l)) = (connector.next_event(v, &mut numbers), seen) {
-                let (light, pmf) = (&scene.lights.as_slice()[l.light], f64::from(l.pmf));
-                let nodes = join(&[], e, Some((l.wi, l.distance)), &[Vec::new(), dirac[1][..b - 1].to_vec()]);
-                check.compare(
-                    &FullPath { nodes, light, pmf, cos_light: cos_of(light, l.wi) },
-                    camera,
-                    1,
-                    c.contribution,
-                );
-            }
-            // s = 0.
-            if let (Some(c), Some((light, pmf)), true) = (connector.emission(v), v.light(scene), b > 1) {
-                let nodes = join(&[], &e[..b - 1], Some((-v.wo, v.distance)), &dirac);
-                let (pmf, cos_light) = (f64::from(pmf), cos_of(light, v.wo));
-                check.compare(&FullPath { nodes, light, pmf, cos_light }, camera, 0, c);
-            }
-        }
+        check_camera_ends(&mut check, &connector, &camera_path, &dirac, i);
     }
     check
 }

@@ -7,6 +7,7 @@ use gatherlight_render::scene::description::{LightKind, MaterialDescription, Sce
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use gatherlight_tests::fixtures::{SceneMaker, cuboid, enclosure, quad, sphere};
 use gatherlight_tests::single::{mean, render_description};
+use gatherlight_tests::transport;
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
@@ -122,33 +123,42 @@ fn blocks(film: &Film, at: usize) -> Vec<f64> {
     sums.iter().map(|s| s / f64::from(3 * BLOCK * BLOCK)).collect()
 }
 
-/// The whole image is the layer `direct` of path tracing. With 9 blocks and 11 degrees of freedom a side, |t| < 4.6 holds for
-/// all blocks with probability above 0.999 when the means are equal (Šidák).
+/// The first channels of the image of `settings` from channel `at` on are the layer `direct` of path tracing. With 9 blocks and
+/// 11 degrees of freedom a side, |t| < 4.6 holds for all blocks with probability above 0.999 when the means are equal (Šidák).
+fn assert_direct(name: &str, scene: &SceneDescription, settings_of: &RenderSettings, at: usize) {
+    let rows = |settings: &RenderSettings, at: usize| -> Vec<Vec<f64>> {
+        let settings = RenderSettings { layers: vec![Layer::Direct], ..settings.clone() };
+        (0..SEEDS)
+            .map(|seed| render_description(scene.clone(), &RenderSettings { seed, ..settings.clone() }))
+            .map(|film| blocks(&film, at))
+            .collect()
+    };
+    let path = RenderSettings { method: Method::Path, ..settings(SIDE, 96) };
+    let (own, path) = (rows(settings_of, at), rows(&path, 4));
+    for i in 0..own[0].len() {
+        let column = |rows: &[Vec<f64>]| mean_and_error(&rows.iter().map(|r| r[i]).collect::<Vec<_>>());
+        let ((a, ea), (b, eb)) = (column(&own), column(&path));
+        let sigma = ea.hypot(eb);
+        println!("{name}, block {i}: {a:.5} ± {ea:.5}, path {b:.5} ± {eb:.5}, {:+.2} σ", (a - b) / sigma);
+        assert!((a - b).abs() < 4.6 * sigma, "{name}, block {i}: {a} and path {b}, σ = {sigma}");
+        assert!(sigma < 0.03 * b, "{name}, block {i}: too noisy to see anything ({sigma} of {b})");
+    }
+}
+
 #[test]
 fn the_image_is_the_direct_layer_of_path_tracing() {
     for many in [false, true] {
-        let scene = gallery(many);
-        let rows = |settings: &RenderSettings, at: usize| -> Vec<Vec<f64>> {
-            let settings = RenderSettings { layers: vec![Layer::Direct], ..settings.clone() };
-            (0..SEEDS)
-                .map(|seed| render_description(scene.clone(), &RenderSettings { seed, ..settings.clone() }))
-                .map(|film| blocks(&film, at))
-                .collect()
-        };
-        let path = RenderSettings { method: Method::Path, ..settings(SIDE, 96) };
-        let (whitted, path) = (rows(&settings(SIDE, 12), 0), rows(&path, 4));
-        for i in 0..whitted[0].len() {
-            let column = |rows: &[Vec<f64>]| mean_and_error(&rows.iter().map(|r| r[i]).collect::<Vec<_>>());
-            let ((a, ea), (b, eb)) = (column(&whitted), column(&path));
-            let sigma = ea.hypot(eb);
-            println!(
-                "many {many}, block {i}: whitted {a:.5} ± {ea:.5}, path {b:.5} ± {eb:.5}, {:+.2} σ",
-                (a - b) / sigma
-            );
-            assert!((a - b).abs() < 4.6 * sigma, "many {many}, block {i}: whitted {a} and path {b}, σ = {sigma}");
-            assert!(sigma < 0.03 * b, "many {many}, block {i}: too noisy to see anything ({sigma} of {b})");
-        }
+        assert_direct(&format!("many {many}"), &gallery(many), &settings(SIDE, 12), 0);
     }
+}
+
+/// Light that a rough boundary scatters straight to the eye from a lamp on its other side has crossed the body.
+#[test]
+fn absorption_in_rough_glass_counts_on_the_way_to_a_light() {
+    let scene = transport::rough_glass_room();
+    assert_direct("whitted", &scene, &settings(SIDE, 24), 0);
+    let photon = RenderSettings { method: Method::Photon, photons: 0, caustic_photons: 0, ..settings(SIDE, 24) };
+    assert_direct("photon", &scene, &photon, 4);
 }
 
 /// It says itself that it leaves light out, and has no layers for it.

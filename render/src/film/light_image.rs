@@ -276,7 +276,7 @@ mod tests {
 
     #[test]
     fn every_scale_has_its_range_and_what_is_beyond_is_counted() {
-        for scale in [0.0f32, 1e-38, 1e-30, 1.0, 1e20, f32::MAX] {
+        for scale in [0.0f32, 1.2e-38, 1e-30, 1.0, 1e20, f32::MAX] {
             let mut i = LightImage::new(GRID, 1, scale);
             assert!(i.unit().is_normal() && (scale == 0.0 || (0.5..=1.0).contains(&(i.unit() / scale))), "{scale}");
             i.splat(0, 0, 0, Rgb::splat(scale));

@@ -176,9 +176,10 @@ impl PhotonGather<'_> {
         let gather_rays = self.settings.final_gather as f32;
         let w_diffuse = heuristic::power(light.pdf, gather_rays * pdf(Lobes::DIFFUSE));
         let w_glossy = heuristic::power(light.pdf, pdf(FOCUSING));
+        let body = v.interior.leaving(self.scene, v.point, v.wo, light.wi);
         let incident = throughput
             * light.weighted_radiance
-            * v.interior.transmittance(self.scene, light.distance)
+            * body.transmittance(self.scene, light.distance)
             * v.bsdf.cos(light.wi);
         sample.add(Part::Direct, incident * (diffuse * w_diffuse + glossy * w_glossy));
     }

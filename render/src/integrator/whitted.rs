@@ -171,7 +171,8 @@ impl<'a> Whitted<'a> {
         // No ray is sent along the diffuse lobe: there the light's samples are all there is.
         let pdf = v.bsdf.pdf(v.wo, light.wi, Lobes::GLOSSY, TransportMode::Radiance);
         let f = diffuse + glossy * heuristic::power(light.pdf, pdf);
-        let transmittance = v.interior.transmittance(scene, light.distance);
+        let body = v.interior.leaving(scene, v.point, v.wo, light.wi);
+        let transmittance = body.transmittance(scene, light.distance);
         let incident = v.throughput * light.weighted_radiance * transmittance * v.bsdf.cos(light.wi);
         sample.add(Part::Direct, incident * f);
     }
