@@ -75,7 +75,7 @@ fn the_plan_chooses_a_method_and_says_why() {
         assert!(settings.starts_with(&format!("--method {} ", of("name"))), "{settings}");
         (of("name"), of("reason"))
     };
-    assert_eq!(method("").0, "photon");
+    assert_eq!(method("").0, "progressive");
     assert_eq!(method("--method path"), ("path".to_string(), "asked for".to_string()));
     let (name, reason) = method("--max-depth 4 --samples 2");
     assert!(name != "photon" && reason.contains("--max-depth"), "{name}: {reason}");

@@ -92,9 +92,10 @@ fn wanted(traits: Traits) -> (Method, &'static str) {
     match traits {
         Traits { light: false, .. } => (Method::Path, "there is no light, so no photons"),
         Traits { diffuse: false, .. } => (Method::Path, "no surface is diffuse, so nothing would hold photons"),
-        Traits { focusing: true, .. } => {
-            (Method::Photon, "specular or glossy surfaces may focus light onto diffuse ones")
-        }
+        Traits { focusing: true, .. } => (
+            Method::Progressive,
+            "specular or glossy surfaces may focus light onto diffuse ones, and every round makes it sharper",
+        ),
         Traits { focusing: false, .. } => (
             Method::Photon,
             "all surfaces are diffuse: indirect light is smooth, and one map serves every final gather",
@@ -166,7 +167,7 @@ mod tests {
         let (method, reason) = chosen(&[wall(), lamp()]);
         assert!(method == Method::Photon && reason.contains("all surfaces are diffuse"), "{reason}");
         let (method, reason) = chosen(&[wall(), lamp(), mirror()]);
-        assert!(method == Method::Photon && reason.contains("focus"), "{reason}");
+        assert!(method == Method::Progressive && reason.contains("focus"), "{reason}");
         let (method, reason) = chosen(&[lamp(), mirror()]);
         assert!(method == Method::Path && reason.contains("no surface is diffuse"), "{reason}");
         let (method, reason) = chosen(&[wall(), mirror()]);
