@@ -94,5 +94,5 @@ fn the_plan_chooses_a_method_and_says_why() {
     // Whether the scene is read for the camera's shape or not makes no difference.
     assert_eq!(method("--width 8 --height 8"), method(""));
     let text = run(dir.path(), "plan triangle.gltf");
-    assert!(text.out.lines().nth(1).is_some_and(|l| l.starts_with("method: photon — ")), "{text:?}");
+    assert!(text.out.lines().nth(1).is_some_and(|l| l.starts_with("method: progressive — ")), "{text:?}");
 }
