@@ -19,7 +19,7 @@ use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{self, EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
-use crate::settings::{Method, RenderSettings};
+use crate::settings::{Layer, Method, RenderSettings};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -200,22 +200,13 @@ impl PreparedJob {
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {
         if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
     }
-    /// Whether light paths are shown to the camera, and land anywhere.
-    fn has_splats(&self) -> bool {
-        matches!(self.settings.method, Method::Bdpt | Method::Vcm)
-    }
     /// An empty light image, where the method splats: what [`PreparedJob::gather`] and [`PreparedJob::splat`] add to.
     pub fn light_image(&self) -> Option<LightImage> {
-        let power = self.scene.lights.total_power().max_component();
-        let (planes, scale) = match self.settings.method {
-            // Independent rounds need a second plane for alpha.
-            _ if self.settings.has_independent_rounds() => (2, power),
-            _ if self.has_splats() => (1, power),
-            // Chains splat radiance over luminance.
-            Method::Mlt => (1, 1.0),
-            _ => return None,
-        };
-        Some(LightImage::new(self.grid(), planes, scale))
+        let planes = self.settings.light_planes();
+        // Chains splat radiance over luminance.
+        let chains = self.settings.method == Method::Mlt;
+        let scale = if chains { 1.0 } else { self.scene.lights.total_power().max_component() };
+        (planes > 0).then(|| LightImage::new(self.grid(), planes, scale))
     }
     /// The finished film, from the tiles of all rounds done, the light image where there is one, and the number of `units` of
     /// the splat phase that are done.
@@ -233,7 +224,16 @@ impl PreparedJob {
                     Method::Vcm => film.complete_rounds().max(1),
                     _ => self.settings.samples,
                 };
-                film.finish(light.map(|light| (light, 1.0 / f64::from(samples))))
+                let scale = 1.0 / f64::from(samples);
+                let mut film = film.finish(light.map(|light| (light, scale)));
+                if let Some(light) = light.filter(|_| self.settings.layers.contains(&Layer::Strategies)) {
+                    film.append(Layer::Strategies, |x, y, pixel| {
+                        for plane in 1..light.planes() {
+                            pixel.extend(light.value(plane, x, y).map(|v| (v * scale) as f32));
+                        }
+                    });
+                }
+                film
             }
         }
     }
@@ -241,9 +241,9 @@ impl PreparedJob {
     pub fn grid(&self) -> TileGrid {
         TileGrid { width: self.settings.width, height: self.settings.height }
     }
-    /// The channels of the image.
+    /// The channels of a tile: those of the image, but for layers that are summed on the light image.
     pub fn channels(&self) -> ChannelSet {
-        ChannelSet::new(&self.settings.layers)
+        ChannelSet::of_tiles(&self.settings.layers)
     }
     /// Whether photons of `map` carry directions: those that are light vertices.
     pub fn photon_directions(&self, _map: MapKind) -> bool {
@@ -292,7 +292,7 @@ impl PreparedJob {
                 }
                 Phase::Gather { tiles, .. } => {
                     let tile = |index| {
-                        let mut own = self.has_splats().then(|| self.light_image()).flatten();
+                        let mut own = (self.settings.method == Method::Vcm).then(|| self.light_image()).flatten();
                         (self.gather(&inputs, round, index, own.as_mut()), own)
                     };
                     let tiles: Vec<_> = (0..tiles).into_par_iter().with_max_len(1).map(tile).collect();

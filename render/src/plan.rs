@@ -237,15 +237,19 @@ fn emission_plan(
 
 /// Bytes of a whole light image, where the method has one.
 fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool, String)) -> u64 {
-    if !matches!(settings.method, Method::Bdpt | Method::Vcm) {
+    let planes = settings.light_planes();
+    if planes == 0 {
         entry("light image", false, format!("method {} splats nothing", settings.method.name()));
         return 0;
     }
     let grid = TileGrid { width: settings.width, height: settings.height };
-    let bytes = u64::from(grid.len()) * LightImage::block_bytes();
-    let reason =
-        format!("light paths that meet the lens land on any pixel: {} MiB, summed exactly", bytes.div_ceil(1 << 20));
-    entry("light image", true, reason);
+    let bytes = u64::from(grid.len() * planes) * LightImage::block_bytes();
+    let why = match settings.method {
+        _ if settings.has_independent_rounds() => "whole rounds travel as images",
+        Method::Mlt => "Markov chains land on any pixel",
+        _ => "light paths that meet the lens land on any pixel",
+    };
+    entry("light image", true, format!("{why}: {} MiB, summed exactly", bytes.div_ceil(1 << 20)));
     bytes
 }
 

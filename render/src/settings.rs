@@ -6,6 +6,7 @@ pub use options::Setting;
 pub(crate) use options::enumerate;
 
 use crate::error::SettingsError;
+use crate::film::Strategy;
 
 /// Largest number of pixels along one side.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;
@@ -124,11 +125,13 @@ pub enum Layer {
     Variance,
     /// Samples taken.
     Samples,
+    /// Radiance by each strategy of short paths, weighted and unweighted: see [`crate::film::Strategy`].
+    Strategies,
 }
 
 impl Layer {
     /// All layers in file order.
-    pub const ALL: [Layer; 9] = [
+    pub const ALL: [Layer; 10] = [
         Layer::Direct,
         Layer::Indirect,
         Layer::Caustic,
@@ -138,6 +141,7 @@ impl Layer {
         Layer::Position,
         Layer::Variance,
         Layer::Samples,
+        Layer::Strategies,
     ];
     /// Name on the command line and in EXR channel names.
     pub const fn name(self) -> &'static str {
@@ -151,16 +155,32 @@ impl Layer {
             Layer::Position => "position",
             Layer::Variance => "variance",
             Layer::Samples => "samples",
+            Layer::Strategies => "strategies",
+        }
+    }
+    /// Number of its channels.
+    pub const fn width(self) -> usize {
+        match self {
+            Layer::Direct | Layer::Indirect | Layer::Caustic | Layer::Albedo | Layer::Variance => 3,
+            Layer::Normal | Layer::Position => 3,
+            Layer::Depth | Layer::Samples => 1,
+            Layer::Strategies => 3 * Strategy::PLANES as usize,
         }
     }
     /// EXR channel suffixes: `R G B`, `X Y Z`, or `V` for one value (the EXR is `layer.suffix`).
-    pub const fn channels(self) -> &'static [&'static str] {
-        match self {
+    pub fn channel_names(self) -> Vec<String> {
+        let names: &[&str] = match self {
             Layer::Direct | Layer::Indirect | Layer::Caustic | Layer::Albedo | Layer::Variance => &["R", "G", "B"],
             Layer::Normal | Layer::Position => &["X", "Y", "Z"],
             Layer::Depth => &["Z"],
             Layer::Samples => &["V"],
-        }
+            Layer::Strategies => return Strategy::channel_names(),
+        };
+        names.iter().map(|&n| n.into()).collect()
+    }
+    /// Whether it is summed on the light image, so that tiles have nothing of it.
+    pub const fn is_splatted(self) -> bool {
+        matches!(self, Layer::Strategies)
     }
 }
 

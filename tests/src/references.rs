@@ -8,16 +8,26 @@ use std::path::Path;
 /// Pixels across and down.
 pub const SIDE: u32 = 256;
 
-/// The image of the scene `name`, rows from the top.
+/// Width, height and pixels, rows from the top, of the image of the scene `name`.
 ///
 /// # Panics
 /// When it cannot be read.
-pub fn reference(name: &str) -> Vec<Rgb> {
+pub fn image(name: &str) -> (u32, u32, Vec<Rgb>) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference").join(name).with_extension("exr");
     let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let image = decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!((image.width, image.height), (SIDE as usize, SIDE as usize));
-    image.rgb().unwrap_or_else(|e| panic!("{e}"))
+    let pixels = image.rgb().unwrap_or_else(|e| panic!("{e}"));
+    (image.width as u32, image.height as u32, pixels)
+}
+
+/// The pixels of an image that is [`SIDE`] wide and high.
+///
+/// # Panics
+/// When it is not, or cannot be read.
+pub fn reference(name: &str) -> Vec<Rgb> {
+    let (width, height, pixels) = image(name);
+    assert_eq!((width, height), (SIDE, SIDE));
+    pixels
 }
 
 /// The image made of the means of blocks of `factor` × `factor` pixels of an image of [`SIDE`].

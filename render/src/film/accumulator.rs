@@ -127,7 +127,7 @@ fn add_row(sums: &mut [f64], line: &[f32], channels: &ChannelSet) {
         }
         let mut at = 4;
         for &layer in channels.layers() {
-            let end = at + layer.channels().len();
+            let end = at + layer.width();
             // A pixel that hit nothing has an infinite depth, which counts nothing.
             let weight = if is_per_hit(layer) { f64::from(pixel[3]) } else { 1.0 };
             if weight > 0.0 {
@@ -145,7 +145,7 @@ fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: Option<&[f64]>, rounds: u
     }
     let mut at = 4;
     for &layer in channels.layers() {
-        let end = at + layer.channels().len();
+        let end = at + layer.width();
         for (c, (p, s)) in pixel[at..end].iter_mut().zip(&sum[at..end]).enumerate() {
             *p = match layer {
                 Layer::Depth if sum[3] == 0.0 => f32::INFINITY,

@@ -16,13 +16,18 @@ impl ChannelSet {
         layers.dedup();
         ChannelSet { layers }
     }
+    /// Colour and those of `layers` that tiles hold: not those that are summed on the light image.
+    pub fn of_tiles(layers: &[Layer]) -> Self {
+        let layers: Vec<Layer> = layers.iter().copied().filter(|l| !l.is_splatted()).collect();
+        ChannelSet::new(&layers)
+    }
     /// The layers beside the colour.
     pub fn layers(&self) -> &[Layer] {
         &self.layers
     }
     /// Number of floats per pixel.
     pub fn len(&self) -> usize {
-        4 + self.layers.iter().map(|l| l.channels().len()).sum::<usize>()
+        4 + self.layers.iter().map(|l| l.width()).sum::<usize>()
     }
     /// Never true: colour is always there.
     pub fn is_empty(&self) -> bool {
@@ -35,7 +40,7 @@ impl ChannelSet {
             if l == layer {
                 return Some(at);
             }
-            at += l.channels().len();
+            at += l.width();
         }
         None
     }
@@ -43,7 +48,7 @@ impl ChannelSet {
     pub fn names(&self) -> Vec<String> {
         let mut names: Vec<String> = ["R", "G", "B", "A"].map(String::from).to_vec();
         for l in &self.layers {
-            names.extend(l.channels().iter().map(|c| format!("{}.{c}", l.name())));
+            names.extend(l.channel_names().iter().map(|c| format!("{}.{c}", l.name())));
         }
         names
     }

@@ -1,7 +1,7 @@
 //! Tiles: the unit of the gather pass.
 
 use super::ChannelSet;
-use crate::settings::TILE_SIZE;
+use crate::settings::{Layer, TILE_SIZE};
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,6 +137,20 @@ impl Film {
     /// Counts every tile as there.
     pub(super) fn fill(&mut self) {
         self.filled.fill(true);
+    }
+    /// Adds `layer`, whose channels at pixel (x, y) are appended to the pixel's by `write`. It must come after the layers there
+    /// are, in their order.
+    pub fn append(&mut self, layer: Layer, mut write: impl FnMut(u32, u32, &mut Vec<f32>)) {
+        let (n, width) = (self.channels.len(), self.grid.width);
+        let mut layers = self.channels.layers().to_vec();
+        layers.push(layer);
+        self.channels = ChannelSet::new(&layers);
+        let mut pixels = Vec::with_capacity(self.pixels.len() / n * self.channels.len());
+        for (i, pixel) in self.pixels.chunks_exact(n).enumerate() {
+            pixels.extend_from_slice(pixel);
+            write(i as u32 % width, i as u32 / width, &mut pixels);
+        }
+        self.pixels = pixels;
     }
     /// Whether every tile is there.
     pub fn is_complete(&self) -> bool {

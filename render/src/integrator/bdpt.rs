@@ -9,13 +9,13 @@ use super::path::first_hit;
 use super::sample::Sample;
 use super::tile::SampleId;
 use super::vertex::{Start, Vertex, Walk};
-use crate::film::LightImage;
+use crate::film::{LightImage, Strategy};
 use crate::geometry::Ray;
 use crate::material::TransportMode;
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Stream};
 use crate::scene::{Camera, Scene};
-use crate::settings::RenderSettings;
+use crate::settings::{Layer, RenderSettings};
 
 /// Connections that would add less than this share of what a sample has already are subject to roulette. Larger saves few
 /// rays more and adds noise (measured: 0.1 gives the least variance · time on diffuse, glossy and specular rooms).
@@ -27,6 +27,10 @@ pub struct Bdpt<'a> {
     seed: u64,
     samples: u32,
     max_depth: u32,
+    width: u32,
+    /// Whether what each strategy gives is wanted by itself. Connections are then not subject to roulette, which goes by
+    /// weights.
+    strategies: bool,
     light_path: Vec<Vertex>,
 }
 
@@ -39,6 +43,8 @@ impl<'a> Bdpt<'a> {
             seed: settings.seed,
             samples: settings.samples,
             max_depth: settings.max_depth.unwrap_or(u32::MAX),
+            width: settings.width,
+            strategies: settings.layers.contains(&Layer::Strategies),
             light_path: Vec::new(),
         }
     }
@@ -59,7 +65,7 @@ impl<'a> Bdpt<'a> {
         let index = id.pixel * u64::from(self.samples) + u64::from(id.sample);
         light.add_rays(self.trace_light_path(Sampler::new(self.seed, Purpose::LightPath, 0, 0, index)));
         self.look_at_light_path(light);
-        self.trace_camera_path(id, ray, sampler, &mut sample, |_, _, _| ());
+        self.trace_camera_path(id, ray, sampler, &mut sample, light, |_, _, _| ());
         sample
     }
 
@@ -70,13 +76,19 @@ impl<'a> Bdpt<'a> {
         ray: Ray,
         sampler: &mut Sampler,
         sample: &mut Sample,
+        light: &mut LightImage,
         mut visit: impl FnMut(&Self, &Vertex, &mut Sample),
     ) {
         let mut random = Stream::new(self.seed, Purpose::Connection, id.sample, id.pixel);
+        let (x, y) = ((id.pixel % u64::from(self.width)) as u32, (id.pixel / u64::from(self.width)) as u32);
+        let mut found = |s: u32, v: &Vertex, c: Contribution, sample: &mut Sample| {
+            sample.direct += c.weighted();
+            self.record(s, v.length + 1, c, (x, y), light);
+        };
         let walk = self.walk(TransportMode::Radiance, self.max_depth);
         let start = Start::camera(self.connector.camera, self.connector.light_paths, ray);
         sample.rays += walk.run(&start, sampler, |v, sampler| {
-            self.gather(v, sampler, &mut random, sample);
+            self.gather(v, sampler, &mut random, sample, &mut found);
             visit(self, v, sample);
         });
     }
@@ -106,24 +118,47 @@ impl<'a> Bdpt<'a> {
             let Some((p, connection)) = self.connector.lens(v) else { continue };
             light.add_rays(1);
             if let Some(c) = self.unblocked(&connection) {
-                light.splat(0, p.x as u32, p.y as u32, c.weighted());
+                let pixel = (p.x as u32, p.y as u32);
+                light.splat(0, pixel.0, pixel.1, c.weighted());
+                self.record(v.length + 1, 1, c, pixel, light);
             }
         }
     }
 
-    /// Everything that ends at or connects to the camera vertex `v`.
-    fn gather(&self, v: &Vertex, sampler: &mut Sampler, random: &mut Stream, sample: &mut Sample) {
+    /// Adds what strategy (s, t) found to its layers, where they are wanted.
+    #[inline]
+    fn record(&self, s: u32, t: u32, c: Contribution, (x, y): (u32, u32), light: &mut LightImage) {
+        if !self.strategies {
+            return;
+        }
+        if let Some(strategy) = Strategy::new(s, t) {
+            let [weighted, unweighted] = strategy.planes();
+            light.splat(weighted, x, y, c.weighted());
+            light.splat(unweighted, x, y, c.value);
+        }
+    }
+
+    /// Everything that ends at or connects to the camera vertex `v`: `found` is told s, `v` and what it gives.
+    fn gather(
+        &self,
+        v: &Vertex,
+        sampler: &mut Sampler,
+        random: &mut Stream,
+        sample: &mut Sample,
+        found: &mut impl FnMut(u32, &Vertex, Contribution, &mut Sample),
+    ) {
         if v.length == 1 {
             sample.first = Some(first_hit(&v.point, &v.bsdf, v.wo));
         }
         if let Some(c) = self.connector.emission(v) {
-            sample.direct += c.weighted();
+            found(0, v, c, sample);
         }
         if v.length >= self.max_depth {
             return;
         }
-        let direct = self.connector.next_event(v, sampler);
-        self.add(direct, sample);
+        if let Some(c) = self.connector.next_event(v, sampler).and_then(|c| self.test(&c, sample)) {
+            found(1, v, c, sample);
+        }
         if !v.is_connectible() {
             return;
         }
@@ -131,17 +166,18 @@ impl<'a> Bdpt<'a> {
             // Connected, the path has one edge more than its parts.
             if u64::from(v.length) + u64::from(l.length) < u64::from(self.max_depth) {
                 let connection = self.connector.connect(v, l);
-                self.add(connection.and_then(|c| roulette(c, sample, random)), sample);
+                let kept = |c| if self.strategies { Some(c) } else { roulette(c, sample, random) };
+                if let Some(c) = connection.and_then(kept).and_then(|c| self.test(&c, sample)) {
+                    found(l.length + 1, v, c, sample);
+                }
             }
         }
     }
 
-    fn add(&self, connection: Option<Connection>, sample: &mut Sample) {
-        let Some(connection) = connection else { return };
+    /// Traces the ray of a connection for `sample`.
+    fn test(&self, connection: &Connection, sample: &mut Sample) -> Option<Contribution> {
         sample.rays += 1;
-        if let Some(c) = self.unblocked(&connection) {
-            sample.direct += c.weighted();
-        }
+        self.unblocked(connection)
     }
 
     fn unblocked(&self, connection: &Connection) -> Option<Contribution> {

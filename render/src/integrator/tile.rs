@@ -46,7 +46,7 @@ pub fn render_numbered(
     samples: Range<u32>,
     mut trace: impl FnMut(SampleId, Ray, &mut Sampler) -> Sample,
 ) -> Tile {
-    let channels = ChannelSet::new(&settings.layers);
+    let channels = ChannelSet::of_tiles(&settings.layers);
     let mut tile = Tile {
         index,
         pixels: Vec::with_capacity(rect.width as usize * rect.height as usize * channels.len()),
@@ -133,6 +133,8 @@ impl PixelSums {
                 Layer::Position => out.extend(self.position_in_world(space)),
                 Layer::Variance => out.extend(self.squares.map(|s| (s / (n - 1.0).max(1.0)) as f32)),
                 Layer::Samples => out.push(self.count as f32),
+                // Not of tiles.
+                Layer::Strategies => {}
             }
         }
     }

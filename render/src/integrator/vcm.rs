@@ -146,7 +146,7 @@ impl<'a> Vcm<'a> {
         if id.pixel >= paths {
             light.add_rays(self.bdpt.trace_light_path(self.round.light_sampler(id.pixel % paths.max(1))));
         }
-        self.bdpt.trace_camera_path(id, ray, sampler, &mut sample, |bdpt, v, sample| {
+        self.bdpt.trace_camera_path(id, ray, sampler, &mut sample, light, |bdpt, v, sample| {
             if let Some(map) = self.map {
                 sample.direct += merge(bdpt, map, v, self.round.radius) * self.per_area;
             }

@@ -4,6 +4,7 @@
 
 use super::{Estimator, Kernel, Layer, Merge, Method, RenderSettings};
 use crate::error::SettingsError;
+use crate::film::Strategy;
 
 /// An option that not every method uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -163,10 +164,26 @@ impl Method {
         use Layer as L;
         match self {
             Method::Whitted => &[L::Direct, L::Albedo, L::Normal, L::Depth, L::Position, L::Variance, L::Samples],
-            Method::Path | Method::Photon | Method::Progressive => &L::ALL,
+            Method::Path | Method::Photon | Method::Progressive => &[
+                L::Direct,
+                L::Indirect,
+                L::Caustic,
+                L::Albedo,
+                L::Normal,
+                L::Depth,
+                L::Position,
+                L::Variance,
+                L::Samples,
+            ],
             Method::Mlt => &[],
-            Method::Bdpt | Method::Vcm => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples],
+            Method::Bdpt => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples, L::Strategies],
+            Method::Vcm => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples],
         }
+    }
+
+    /// Whether light paths are shown to the camera, and land anywhere.
+    pub const fn splats(self) -> bool {
+        matches!(self, Method::Bdpt | Method::Vcm)
     }
 
     /// Whether its mean over ever more samples, photons and rounds is all the light there is.
@@ -224,6 +241,18 @@ impl RenderSettings {
         };
         let [photons, caustic_photons] = settings.default_photons();
         RenderSettings { photons, caustic_photons, ..settings }
+    }
+
+    /// Planes of the light image: plane 0 is the image. 0 where nothing lands elsewhere than in its own tile.
+    pub fn light_planes(&self) -> u32 {
+        if self.has_independent_rounds() {
+            // Whole rounds; the second is their alpha.
+            2
+        } else if self.layers.contains(&Layer::Strategies) {
+            1 + Strategy::PLANES
+        } else {
+            u32::from(self.method.splats() || self.method == Method::Mlt)
+        }
     }
 
     /// Photon paths of the global and the caustic map where nobody says: of methods with rounds as many as their number
@@ -321,8 +350,9 @@ mod tests {
     #[test]
     fn a_layer_that_a_method_lacks_is_refused() {
         let error = Method::Bdpt.refuse_layers(&[Layer::Caustic, Layer::Depth]).unwrap_err().to_string();
-        assert_eq!(error, "--layers: method bdpt has no caustic; it has albedo, normal, depth, position and samples");
-        assert!(Method::Path.refuse_layers(&Layer::ALL).is_ok());
+        assert_eq!(error, "--layers: method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies");
+        assert!(Method::Path.refuse_layers(&Layer::ALL).is_err());
+        assert!(Method::Path.refuse_layers(Method::Photon.layers()).is_ok());
     }
 
     #[test]
