@@ -29,17 +29,22 @@ pub(crate) struct Parts {
 impl Parts {
     /// The whole film.
     fn film(self) -> Result<Film, String> {
-        if self.film.complete_rounds() != self.rounds {
-            return Err("tiles are missing from the image".into());
-        }
+        let Parts { prepared, mut film, rounds, light, units, bootstrap } = self;
         let sum = |light: Arc<LightSum>| {
-            let empty = self.prepared.light_image().ok_or("the method has no light image")?;
+            let empty = prepared.light_image().ok_or("the method has no light image")?;
             light.finish(empty).map_err(|e| e.to_string())
         };
-        let light = self.light.map(sum).transpose()?;
+        let light = light.map(sum).transpose()?;
+        // A single round is closed here.
+        if film.closed_rounds() == 0 && film.is_round_complete() {
+            film.close(light.as_ref());
+        }
+        if film.closed_rounds() != rounds {
+            return Err("tiles are missing from the image".into());
+        }
         // The maps of the last round are gone: an image is finished without them.
-        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap: self.bootstrap };
-        Ok(self.prepared.finish(self.film, light.as_ref(), &inputs, self.units))
+        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap };
+        Ok(prepared.finish(film, light.as_ref(), &inputs, units))
     }
 }
 

@@ -2,11 +2,10 @@
 
 use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
-use gatherlight_render::film::Film;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::MapKind;
 use gatherlight_render::plan::{Plan, PlanEntry};
-use gatherlight_render::settings::{Layer, Method, RenderSettings, Setting};
+use gatherlight_render::settings::{Method, RenderSettings, Setting};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -48,6 +47,8 @@ impl About {
             maps: stats.maps.iter().map(map).collect(),
             plan: self.plan.clone(),
             non_finite: stats.non_finite,
+            samples: samples_done(settings, stats),
+            noise: stats.noise,
             rounds: self.has_rounds.then_some(stats.rounds_done),
             units: self.has_units.then_some(stats.units_done),
         }
@@ -68,37 +69,6 @@ pub fn plan_lines(plan: &Plan) -> Vec<String> {
         .collect()
 }
 
-/// The noise of an image, from the variance its layers carry.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
-    /// √mean(variance / samples) over pixels and channels, in radiance.
-    pub standard_error: f64,
-    /// The same divided by the image's mean; infinite for a black image.
-    pub relative: f64,
-}
-
-/// Root-mean-square standard error of the pixels; `None` unless the film has the layers `variance` and `samples`.
-pub fn noise(film: &Film) -> Option<Noise> {
-    let variance = film.channels.offset(Layer::Variance)?;
-    let samples = film.channels.offset(Layer::Samples)?;
-    let (mut sum, mut mean, mut values) = (0.0f64, 0.0f64, 0.0f64);
-    for pixel in film.pixels.chunks_exact(film.channels.len()) {
-        let n = f64::from(pixel[samples]).max(1.0);
-        for c in 0..3 {
-            let (v, color) = (f64::from(pixel[variance + c]), f64::from(pixel[c]));
-            if v.is_finite() && color.is_finite() {
-                sum += v.max(0.0) / n;
-                mean += color;
-                values += 1.0;
-            }
-        }
-    }
-    (values > 0.0).then(|| {
-        let standard_error = (sum / values).sqrt();
-        Noise { standard_error, relative: standard_error / (mean / values).abs() }
-    })
-}
-
 /// What `render` and `submit` report at the end.
 #[derive(Clone, Debug)]
 pub struct Summary {
@@ -108,8 +78,6 @@ pub struct Summary {
     pub stats: JobStats,
     /// Wall time.
     pub elapsed: Duration,
-    /// Noise, where it is known.
-    pub noise: Option<Noise>,
     /// Files written, the EXR first.
     pub files: Vec<String>,
 }
@@ -152,7 +120,7 @@ impl Summary {
                 100.0 * small
             ));
         }
-        if let Some(n) = self.noise {
+        if let Some(n) = t.noise {
             text.push_str(&format!(" · standard error {:.2} % of the mean", 100.0 * n.relative));
         }
         if t.non_finite > 0 {
@@ -167,7 +135,13 @@ impl Summary {
         let (s, t) = (&self.settings, &self.stats);
         let Some(limit) = t.ended_by else { return String::new() };
         let what = match t.units_done {
-            0 => format!("{} of {} rounds", grouped(t.rounds_done.into()), grouped(s.rounds.into())),
+            0 if s.method.has_rounds() => {
+                format!("{} of {} rounds", grouped(t.rounds_done.into()), grouped(s.rounds.into()))
+            }
+            0 => {
+                let done = samples_done(s, t).unwrap_or(0);
+                format!("{} of {} samples", grouped(done.into()), grouped(s.samples.into()))
+            }
             units => format!("{} units", grouped(units)),
         };
         format!("\nended by the {} limit: the image is the mean of {what}", limit.name())
@@ -185,8 +159,8 @@ impl Summary {
             "mutations": (s.method == Method::Mlt).then_some(s.mutations),
             "seed": s.seed,
             "elapsed_s": self.elapsed.as_secs_f64(),
-            "standard_error": self.noise.map(|n| n.standard_error),
-            "relative_standard_error": self.noise.map(|n| n.relative).filter(|r| r.is_finite()),
+            "standard_error": t.noise.map(|n| n.standard_error),
+            "relative_standard_error": t.noise.map(|n| n.relative).filter(|r| r.is_finite()),
             "stats": stats_json(t),
         })
     }
@@ -199,6 +173,12 @@ fn samples_per_pixel(s: &RenderSettings) -> Option<u32> {
         m if m.has_rounds() => Some(s.rounds),
         _ => Some(s.samples),
     }
+}
+
+/// Camera samples of each pixel that were taken, of methods that have no rounds of their own.
+fn samples_done(s: &RenderSettings, t: &JobStats) -> Option<u32> {
+    let by_samples = !s.method.has_rounds() && s.method != Method::Mlt && t.rounds_done > 0;
+    by_samples.then(|| s.samples_of_round(t.rounds_done.saturating_sub(1)).end)
 }
 
 /// How much was computed for each pixel.
@@ -251,7 +231,6 @@ pub fn stats_json(t: &JobStats) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gatherlight_render::film::ChannelSet;
 
     #[test]
     fn each_method_counts_its_own_effort() {
@@ -260,15 +239,5 @@ mod tests {
         assert_eq!(of(Method::Progressive), "64 rounds");
         assert_eq!(of(Method::Mlt), "64 mutations a pixel");
         assert_eq!(samples_per_pixel(&RenderSettings::for_method(Method::Vcm)), Some(64));
-    }
-
-    #[test]
-    fn noise_is_the_root_mean_square_standard_error() {
-        let mut film = Film::new(2, 1, ChannelSet::new(&[Layer::Variance, Layer::Samples]));
-        film.pixels = vec![2.0, 2.0, 2.0, 1.0, 4.0, 4.0, 4.0, 16.0, 2.0, 2.0, 2.0, 1.0, 12.0, 12.0, 12.0, 16.0];
-        // Mean of variance / samples: (4/16 + 12/16) / 2 = 1/2; mean 2.
-        let n = noise(&film).unwrap();
-        assert!((n.standard_error - 0.5f64.sqrt()).abs() < 1e-12 && (n.relative - 0.5f64.sqrt() / 2.0).abs() < 1e-12);
-        assert_eq!(noise(&Film::new(2, 1, ChannelSet::new(&[Layer::Variance]))), None);
     }
 }

@@ -5,6 +5,7 @@ set -eu
 cd "$(dirname "$0")/../.."
 gatherlight=${GATHERLIGHT:-target/release/gatherlight} out=docs/pictures
 seconds=${SECONDS_EACH:-20} # CPU seconds of the pictures made in equal time
+threads=${THREADS:-1}
 TIMEFORMAT='%U %S'
 rows=()
 
@@ -15,7 +16,7 @@ render() {
     local scene=$1 height=$2 name=$3
     shift 3
     local spent
-    spent=$({ time "$gatherlight" render "scenes/$scene.glb" --height "$height" "$@" --quiet -o "$out/$name.png" >/dev/null 2>"$out/.log"; } 2>&1) || {
+    spent=$({ time "$gatherlight" render "scenes/$scene.glb" --height "$height" --threads "$threads" "$@" --quiet -o "$out/$name.png" >/dev/null 2>"$out/.log"; } 2>&1) || {
         cat "$out/.log" >&2
         exit 1
     }
@@ -37,16 +38,17 @@ note() {
 
 # equal SCENE HEIGHT NAME WHAT METHOD OPTION : as many units of OPTION as take $seconds CPU seconds.
 equal() {
-    local scene=$1 height=$2 name=$3 what=$4 method=$5 option=$6 n=4
+    local scene=$1 height=$2 name=$3 what=$4 method=$5 option=$6 n=4 next=4
     if ! has "$method"; then
         rows+=("| $what | not made: no method \`$method\` | | | | |")
         return
     fi
-    # The second time with the rate of the first, which had more to start than to do.
-    for _ in 1 2 3; do
+    # From the second time on with the rate of the one before, which had more to start than to do.
+    for _ in 1 2 3 4; do
+        n=$next
         render "$scene" "$height" "$name" --method "$method" "$option" "$n"
         if awk "BEGIN { exit !($used > 0.9 * $seconds && $used < 1.1 * $seconds) }"; then break; fi
-        n=$(awk "BEGIN { n = int($n * $seconds / ($used + 0.01) + 0.5); print n < 1 ? 1 : n }")
+        next=$(awk "BEGIN { n = int($n * $seconds / ($used + 0.01) + 0.5); print n < 1 ? 1 : n }")
     done
     note "$scene" "$name" "$what, $n ${option#--}"
 }

@@ -1,6 +1,7 @@
 //! What clients see of jobs and workers, and what coordinator and workers tell each other.
 
 use crate::digest::Digest;
+use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::MapKind;
 use std::fmt;
@@ -84,10 +85,12 @@ impl JobState {
 
 /// When to end a job before all its rounds or units are done. Like a configuration, it is no part of the settings: the image
 /// says how many rounds or units it is made of.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Limits {
     /// Time since the submission, after which no further round or unit is begun.
     pub time: Option<Duration>,
+    /// Relative standard error of the image (> 0) from which on no further round is begun.
+    pub error: Option<f32>,
 }
 
 /// A limit that ended a job.
@@ -95,6 +98,8 @@ pub struct Limits {
 pub enum Limit {
     /// [`Limits::time`].
     Time,
+    /// [`Limits::error`].
+    Error,
 }
 
 impl Limit {
@@ -102,6 +107,7 @@ impl Limit {
     pub const fn name(self) -> &'static str {
         match self {
             Limit::Time => "time",
+            Limit::Error => "error",
         }
     }
 }
@@ -132,6 +138,8 @@ pub struct JobStats {
     pub non_finite: u64,
     /// What Markov chains did.
     pub mutations: Mutations,
+    /// The image's noise so far, once two rounds are there to compare.
+    pub noise: Option<Noise>,
     /// Largest gather radius, in world units, once known: given or chosen from the map's density.
     pub gather_radius: Option<f32>,
     /// Neighbours of a density estimate.

@@ -201,6 +201,8 @@ mod tests {
             }
         }
         assert_eq!(candidates(&[], &[]).unwrap()[0], Method::Photon);
-        assert!(candidates(&[], &Layer::ALL).unwrap().contains(&Method::Path));
+        assert!(candidates(&[], Method::Photon.layers()).unwrap().contains(&Method::Path));
+        assert_eq!(candidates(&[], &[Layer::Strategies]).unwrap(), [Method::Bdpt]);
+        assert!(candidates(&[], &Layer::ALL).is_err());
     }
 }

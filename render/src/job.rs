@@ -19,7 +19,7 @@ use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{self, EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
-use crate::settings::{Layer, Method, RenderSettings};
+use crate::settings::{Method, RenderSettings};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -185,7 +185,9 @@ impl PreparedJob {
     }
     fn phases_of_round(&self, round: u32) -> impl Iterator<Item = Phase> {
         let emission = |map, e: &Option<EmissionPlan>| {
-            e.map(|e| Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
+            // Rounds that are no more than passes over the pixels all read the maps of the first.
+            let e = e.filter(|_| round == 0 || self.settings.method.has_rounds())?;
+            Some(Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
         };
         [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
             .into_iter()
@@ -194,8 +196,12 @@ impl PreparedJob {
     }
     /// Number of rounds whose tiles the image is the mean of, ≥ 1.
     pub fn rounds(&self) -> u32 {
-        let rounds_of_tiles = self.settings.method.has_rounds() && !self.settings.has_independent_rounds();
-        if rounds_of_tiles { self.settings.rounds } else { 1 }
+        self.settings.gather_rounds()
+    }
+    /// An empty film that waits for the tiles of all rounds.
+    pub fn accumulator(&self) -> Accumulator {
+        let weight = |round| self.settings.samples_of_round(round).len() as u32;
+        Accumulator::new(self.grid(), self.channels(), (0..self.rounds()).map(weight).collect())
     }
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {
         if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
@@ -208,33 +214,16 @@ impl PreparedJob {
         let scale = if chains { 1.0 } else { self.scene.lights.total_power().max_component() };
         (planes > 0).then(|| LightImage::new(self.grid(), planes, scale))
     }
-    /// The finished film, from the tiles of all rounds done, the light image where there is one, and the number of `units` of
-    /// the splat phase that are done.
-    pub fn finish(&self, film: Accumulator, light: Option<&LightImage>, inputs: &Inputs, units: u64) -> Film {
+    /// The finished film, from its closed rounds; or from the light image of a splat phase, of which `units` are done.
+    pub fn finish(&self, film: Accumulator, splats: Option<&LightImage>, inputs: &Inputs, units: u64) -> Film {
         let bootstrap = inputs.bootstrap.as_deref();
-        match light {
+        match splats {
             Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
             Some(light) if self.settings.method == Method::Mlt => {
                 let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units));
                 film.finish_opaque(light, scale)
             }
-            _ => {
-                // Splats are sums over the camera samples of a pixel.
-                let samples = match self.settings.method {
-                    Method::Vcm => film.complete_rounds().max(1),
-                    _ => self.settings.samples,
-                };
-                let scale = 1.0 / f64::from(samples);
-                let mut film = film.finish(light.map(|light| (light, scale)));
-                if let Some(light) = light.filter(|_| self.settings.layers.contains(&Layer::Strategies)) {
-                    film.append(Layer::Strategies, |x, y, pixel| {
-                        for plane in 1..light.planes() {
-                            pixel.extend(light.value(plane, x, y).map(|v| (v * scale) as f32));
-                        }
-                    });
-                }
-                film
-            }
+            _ => film.finish(),
         }
     }
     /// The tiles of the image.

@@ -393,9 +393,32 @@ impl RenderSettings {
         self.method.has_rounds() && self.merge == Merge::Independent
     }
 
+    /// Rounds of tiles, ≥ 1. Methods without rounds of their own take their camera samples in several of them, so that their
+    /// noise is known while they run and they can end early: 1, 1, 2, 4, … up to an eighth of all.
+    pub fn gather_rounds(&self) -> u32 {
+        if self.has_independent_rounds() || self.method == Method::Mlt {
+            1
+        } else if self.method.has_rounds() {
+            self.rounds
+        } else {
+            self.passes().count().max(1) as u32
+        }
+    }
+    /// Camera samples of the rounds of a method without rounds of its own.
+    fn passes(&self) -> impl Iterator<Item = std::ops::Range<u32>> {
+        let (samples, most) = (self.samples, self.samples.div_ceil(8));
+        let next = move |first: u32| (first < samples).then(|| first..samples.min(first + first.clamp(1, most)));
+        std::iter::successors(next(0), move |pass| next(pass.end))
+    }
+
     /// Numbers of the camera samples of each pixel that `round` takes.
     pub fn samples_of_round(&self, round: u32) -> std::ops::Range<u32> {
-        if self.method.has_rounds() { round..round + 1 } else { 0..self.samples }
+        if self.method.has_rounds() {
+            return round..round + 1;
+        }
+        let all = self.gather_rounds() == 1;
+        let pass = if all { None } else { self.passes().nth(round as usize) };
+        pass.unwrap_or(if all { 0..self.samples } else { self.samples..self.samples })
     }
 
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.

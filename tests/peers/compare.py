@@ -6,8 +6,10 @@ compare.py [--scenes A,B] [--budgets 2,7,21] [--threads 2] [--methods M,N] [--pe
 For every scene, each peer and each method renders for each budget of CPU seconds (user and system time of all threads), and
 is compared with tests/reference: relMSE = mean((a − r)²/(r² + 0.01)), and in brackets the same without the worst 0.1 % of the
 pixels. Peers are stopped when a budget is used; their loading, and Mitsuba's compilation, do not count. `gatherlight render`
-counts whole, from start to exit; its work is scaled until it takes within 10 % of the budget, and the seconds taken are what
-enters the times to relMSE 1e-2 and 1e-3, interpolated between budgets on the error curve (straight in logarithms).
+counts whole, from start to exit; its work is scaled until it takes within 10 % of the budget (where four attempts do not get
+there, the cell names the seconds), and the seconds taken are what enters the times to relMSE 1e-2 and 1e-3, interpolated
+between budgets on the error curve (straight in logarithms). With --update a scene's table is written as soon as it is done,
+in the place of that scene's older one; the tables of other scenes stay.
 """
 import argparse
 import json
@@ -20,6 +22,7 @@ import tempfile
 
 import error
 import exr
+import gltf_scene
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(os.path.dirname(HERE))
@@ -39,7 +42,15 @@ METHODS = {
     "mlt": lambda n: ["--mutations", str(n)],
     "photon": lambda n: ["--samples", str(n)] + photons(15_625, 31_250)(n),
     "progressive": lambda n: ["--rounds", str(n)] + photons(100_000, 100_000)(n),
-    "vcm": lambda n: ["--rounds", str(n), "--photons", str(65_536 * n)],
+    "vcm": lambda n: ["--rounds", str(n)],
+}
+# Rows beside those: by scene, options that suit it, for n units of work.
+TUNED = {
+    "cornell-diffuse": {"photon --final-gather 2 --photons 1M": lambda n: ["--samples", str(n)]},
+    "cornell-caustic": {"progressive, 2M + 4M photons in 128 rounds":
+                        lambda n: ["--rounds", str(n)] + photons(2e6 / 128, 4e6 / 128)(n)},
+    "caustic-ring": {"progressive, 1M + 16M photons in 128 rounds":
+                     lambda n: ["--rounds", str(n)] + photons(1e6 / 128, 16e6 / 128)(n)},
 }
 MITSUBA = {f"mitsuba {i} ({v.split('_')[0]})": (i, v) for v in ("llvm_ad_rgb", "scalar_rgb") for i in ("path", "ptracer")}
 LUXCORE = {"luxcore bidir": "bidir", "luxcore path + photongi": "photongi"}
@@ -47,7 +58,7 @@ LUXCORE = {"luxcore bidir": "bidir", "luxcore path + photongi": "photongi"}
 
 def run_timed(command):
     """CPU seconds of a command that must succeed."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     err = process.stderr.read().decode(errors="replace")
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -61,22 +72,37 @@ def errors(image, reference):
     return c["relMSE"], c["relMSE_trim999"], c["bias_ratio"] - 1
 
 
-def gatherlight(a, scene, method, reference, work):
+def gatherlight(a, scene, name, options, reference, work):
+    """`name`: the method, then options that stay the same for every budget, or after a comma what they are in words."""
     out, points = os.path.join(work, "ours.exr"), []
-    height = reference.shape[0]
+    method, *fixed = name.split(",")[0].split()
+    known = []                                          # (units, seconds) of the renders so far
 
     def render(n):
-        return run_timed([a.gatherlight, "render", f"{ROOT}/scenes/{scene}.glb", "--method", method, "--height", str(height),
-                          "--threads", str(a.threads), "--quiet", "-o", out] + METHODS[method](n))
+        command = ["render", f"scenes/{scene}.glb", "--method", method, "--height", str(reference.shape[0]),
+                   "--threads", str(a.threads)] + fixed + options(n)
+        known.append((n, run_timed([a.gatherlight] + command + ["--quiet", "-o", out])))
+        print(f"{known[-1][1]:8.2f} s  gatherlight {' '.join(command)}", file=sys.stderr, flush=True)
 
-    n, used = 4, render(4)
+    def units(budget):
+        """As many as should take the budget: seconds = start + rate · units through the last two renders."""
+        n, used = known[-1]
+        start, rate = 0.0, used / n
+        if len(known) > 1:
+            m, before = known[-2]
+            if (used - before) * (n - m) > 0:
+                rate = (used - before) / (n - m)
+                start = used - rate * n
+        return max(1, round(min(16.0 * n, (budget - start) / rate)))
+
+    render(4)
     for budget in a.budgets:
         for _ in range(4):
-            if abs(used / budget - 1) < 0.1:
+            n = units(budget)
+            if abs(known[-1][1] / budget - 1) < 0.1 or n == known[-1][0]:
                 break
-            n = max(1, round(n * min(16.0, budget / used)))
-            used = render(n)
-        points.append((used, *errors(out, reference)))
+            render(n)
+        points.append((known[-1][1], *errors(out, reference)))
     return points
 
 
@@ -90,6 +116,8 @@ def peer(a, command, reference, work):
     if done.returncode or not lines:
         said = (done.stderr or done.stdout).strip().splitlines()
         raise RuntimeError(said[-1] if said else "no output")
+    for line in lines:
+        print(json.dumps(line), file=sys.stderr, flush=True)
     return [(line["cpu_s"], *errors(os.path.join(work, line["out"]), reference)) for line in lines]
 
 
@@ -111,26 +139,36 @@ def built_methods(a):
 
 
 def table(a, scene, rows):
-    head = " | ".join(f"{b:g} s" for b in a.budgets)
-    to = " | ".join(f"s to {t:.0e}".replace("e-0", "e-") for t in TARGETS)
-    lines = [f"### {scene}", "", f"| renderer | {head} | bias at {a.budgets[-1]:g} s | {to} |", "|---" * (4 + len(a.budgets)) + "|"]
+    targets = TARGETS if len(a.budgets) > 1 else []
+    heads = ["renderer"] + [f"{b:g} s" for b in a.budgets] + [f"bias at {a.budgets[-1]:g} s"]
+    heads += [f"s to {t:.0e}".replace("e-0", "e-") for t in targets]
+    lines = [f"### {scene}", "", f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for name, points in rows:
         if isinstance(points, str):
-            lines.append(f"| {name} | {points} " + "| " * (len(a.budgets) + 2) + "|")
-            continue
-        cells = [f"{e:.1e} ({trimmed:.1e})" for _, e, trimmed, _ in points]
-        cells += [f"{100 * points[-1][3]:+.2f} %"] + [time_to(points, t) for t in TARGETS]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            cells = [points] + [""] * (len(heads) - 2)
+        else:
+            cells = [f"{e:.1e} ({trimmed:.1e})" + (f" in {t:.1f} s" if abs(t / b - 1) > 0.1 else "")
+                     for b, (t, e, trimmed, _) in zip(a.budgets, points)]
+            cells += [f"{100 * points[-1][3]:+.2f} %"] + [time_to(points, t) for t in targets]
+        lines.append(f"| {' | '.join([name] + cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def python_in_scalar(file):
+    """Whether Mitsuba's scalar variant would call Python at a surface of the scene, and be timed for that."""
+    return any(m.kind in ("metal", "glossy") for m in gltf_scene.load(file).materials)
 
 
 def scene_rows(a, scene, work):
     reference = exr.read(f"{ROOT}/tests/reference/{scene}.exr")
     file, jobs = f"{ROOT}/scenes/{scene}.glb", []
-    jobs += [(f"**{m}**", lambda m=m: gatherlight(a, scene, m, reference, work)) for m in built_methods(a)]
+    ours = {m: METHODS[m] for m in built_methods(a)} | (TUNED.get(scene, {}) if a.tuned else {})
+    jobs += [(f"**{m}**", lambda m=m, o=o: gatherlight(a, scene, m, o, reference, work)) for m, o in ours.items()]
     for name, (integrator, variant) in MITSUBA.items():
         command = [f"{HERE}/mitsuba_render.py", file, "--integrator", integrator, "--variant", variant]
         if variant.startswith("scalar"):
+            if python_in_scalar(file):
+                continue
             command += ["--pass-samples", "1e5"]
         jobs.append((name, lambda c=command: peer(a, c, reference, work)))
     for name, method in LUXCORE.items():
@@ -147,14 +185,15 @@ def scene_rows(a, scene, work):
     return rows
 
 
-def update(path, text):
-    """Replaces what stands between the marks of a Markdown file."""
+def update(path, scene, text):
+    """Puts a scene's table between the marks of a Markdown file, in the place of its older one or at the end."""
     begin, end = "<!-- table: begin -->\n", "<!-- table: end -->"
     with open(path) as f:
-        old = f.read()
-    before, rest = old.split(begin)
+        before, rest = f.read().split(begin)
+    tables, after = rest.split(end)
+    tables = {t.split("\n", 1)[0]: "### " + t.strip() + "\n" for t in tables.split("### ")[1:]} | {scene: text}
     with open(path, "w") as f:
-        f.write(before + begin + text + end + rest.split(end)[1])
+        f.write(before + begin + "\n" + "\n".join(tables.values()) + "\n" + end + after)
 
 
 def main():
@@ -166,19 +205,19 @@ def main():
     ap.add_argument("--methods", type=words, default=list(METHODS))
     ap.add_argument("--peers", type=words, help="beginnings of the names of those to run; default: all")
     ap.add_argument("--gatherlight", default=f"{ROOT}/target/release/gatherlight")
-    ap.add_argument("--update", help="Markdown file whose table is replaced")
+    ap.add_argument("--tuned", action=argparse.BooleanOptionalAction, default=True, help="the rows of TUNED too")
+    ap.add_argument("--update", help="Markdown file whose table is replaced, scene by scene")
     a = ap.parse_args()
-    texts = []
+    a.gatherlight = os.path.abspath(a.gatherlight)
     with tempfile.TemporaryDirectory() as work:
         for scene in a.scenes:
             if not os.path.exists(f"{ROOT}/tests/reference/{scene}.exr"):
                 print(f"{scene}: no reference, left out", file=sys.stderr)
                 continue
-            texts.append(table(a, scene, scene_rows(a, scene, work)))
-    text = "\n" + "\n".join(texts) + "\n"
-    print(text)
-    if a.update:
-        update(a.update, text)
+            text = table(a, scene, scene_rows(a, scene, work))
+            print(text, flush=True)
+            if a.update:
+                update(a.update, scene, text)
 
 
 if __name__ == "__main__":

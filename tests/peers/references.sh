@@ -13,8 +13,8 @@ for scene in "${@:-rough-gold-ring hidden-lamp glossy-plates door-ajar pool}"; d
         for half in 1 2; do
             if [ "$name" = pool ]; then
                 # No path of its light can be connected: progressive photon mapping, by rounds.
-                "$gatherlight" render scenes/pool.glb --method progressive --height 96 --rounds 1000 --photons 20M \
-                    --caustic-photons 100M --threads "$threads" --seed "$half" -o "$work/$half.exr" --quiet
+                "$gatherlight" render scenes/pool.glb --method progressive --height 96 --rounds 600 --photons 12M \
+                    --caustic-photons 60M --threads "$threads" --seed "$half" -o "$work/$half.exr" --quiet
             else
                 "$python" tests/peers/mitsuba_render.py "scenes/$name.glb" --res 96 --cpu "${seconds[$name]}" \
                     --threads "$threads" --seed "$half" --out "$work/$half.exr"

@@ -59,6 +59,8 @@ pub fn film_pixels_sha256(film: &gatherlight_render::film::Film) -> String {
         maps: Vec::new(),
         plan: Vec::new(),
         non_finite: 0,
+        samples: None,
+        noise: None,
         rounds: None,
         units: None,
     };

@@ -36,6 +36,8 @@ pub struct Conditions {
     pub rounds: u32,
     /// Time limit of the jobs, in microseconds.
     pub time_limit: Option<u64>,
+    /// Rounds after which an image is as good as was asked for.
+    pub good_after: Option<u32>,
     /// Probability that a worker crashes at a task, to come back as a new session a while later.
     pub crash: f64,
     /// Probability that a worker stalls at a task for up to a minute, heartbeats included.
@@ -63,6 +65,7 @@ impl Conditions {
             tiles: 400,
             rounds: 1,
             time_limit: None,
+            good_after: None,
             crash: 0.0,
             stall: 0.0,
             fail: 0.0,
@@ -169,6 +172,8 @@ struct World<'c> {
     counted: BTreeMap<(JobId, usize), Counted>,
     /// What the images are made of, as it was said when they were put together.
     made_of: BTreeMap<JobId, Done>,
+    /// Rounds that were told to be closed.
+    closed: BTreeMap<JobId, u32>,
     open: BTreeSet<JobId>,
     report: Report,
     first_lease: Option<u64>,
@@ -195,6 +200,7 @@ pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
         phases: Vec::new(),
         counted: BTreeMap::new(),
         made_of: BTreeMap::new(),
+        closed: BTreeMap::new(),
         open: BTreeSet::new(),
         report: Report { seed, jobs: conditions.jobs, ..Report::default() },
         first_lease: None,
@@ -230,7 +236,12 @@ impl World<'_> {
                 (true, 0) => vec![bootstrap, splat, Phase::Gather { round: 0, tiles }],
                 (true, 1) => vec![bootstrap, splat],
                 (true, _) => vec![splat],
-                (false, _) => (0..rounds).flat_map(|r| all(r)[skip..].to_vec()).collect(),
+                // Rounds with maps of their own, or passes that read the first round's.
+                (false, _) => {
+                    let passes = most > 1 && self.random.chance(0.3);
+                    let of = |r| all(r)[if passes && r > 0 { 2 } else { skip }..].to_vec();
+                    (0..rounds).flat_map(of).collect()
+                }
             });
             self.open.insert(JobId(i as u64));
             let at = self.random.below(3_000_000) * u64::from(self.conditions.jobs > 1);
@@ -283,7 +294,7 @@ impl World<'_> {
         match due {
             Due::Submit(i) => {
                 let phases = self.phases[i].clone();
-                let limits = Limits { time: self.conditions.time_limit.map(Duration::from_micros) };
+                let limits = Limits { time: self.conditions.time_limit.map(Duration::from_micros), error: None };
                 self.event(Event::Submitted { job: JobId(i as u64), phases, limits });
             }
             Due::Join { speed, broken } => {

@@ -1,6 +1,6 @@
 //! One job computed straight through its phases, without a cluster.
 
-use gatherlight_render::film::{Accumulator, Film};
+use gatherlight_render::film::Film;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Inputs, Phase, PhotonMaps, PreparedJob};
 use gatherlight_render::math::Rgb;
@@ -33,8 +33,8 @@ pub fn maps(job: &PreparedJob, round: u32) -> PhotonMaps {
 
 /// Renders `job` to its film: all its phases, in order.
 pub fn render(job: &PreparedJob) -> Film {
-    let mut film = Accumulator::new(job.grid(), job.channels(), job.rounds());
-    let mut light = job.light_image();
+    let mut film = job.accumulator();
+    let mut splats = None;
     let mut inputs = Inputs::default();
     let (mut rounds, mut units) = (0, 0);
     for phase in job.phases() {
@@ -50,8 +50,10 @@ pub fn render(job: &PreparedJob) -> Film {
                 inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
             }
             Phase::Splat { units: n } => {
-                let light = light.as_mut().expect("a splat phase has a light image");
-                job.splat(&inputs, EmissionRange { first: 0, end: n }, light);
+                let mut light = job.light_image().expect("a splat phase has a light image");
+                job.splat(&inputs, EmissionRange { first: 0, end: n }, &mut light);
+                assert_eq!(light.non_finite(), 0, "splats that are not finite");
+                splats = Some(light);
                 units = n;
             }
             Phase::Gather { round, tiles } => {
@@ -60,6 +62,7 @@ pub fn render(job: &PreparedJob) -> Film {
                     (job.gather(&inputs, round, t, own.as_mut()), own)
                 };
                 let rendered: Vec<_> = (0..tiles).into_par_iter().map(tile).collect();
+                let mut light = job.light_image();
                 for (tile, own) in &rendered {
                     assert_eq!(tile.non_finite, 0, "samples that are not finite in tile {}", tile.index);
                     film.insert(round, tile).unwrap_or_else(|e| panic!("{e}"));
@@ -67,13 +70,12 @@ pub fn render(job: &PreparedJob) -> Film {
                         light.add(own).unwrap_or_else(|e| panic!("{e}"));
                     }
                 }
+                assert_eq!(light.as_ref().map_or(0, |l| l.non_finite()), 0, "splats that are not finite");
+                film.close(light.as_ref());
             }
         }
     }
-    if let Some(light) = &light {
-        assert_eq!(light.non_finite(), 0, "splats that are not finite");
-    }
-    job.finish(film, light.as_ref(), &inputs, units)
+    job.finish(film, splats.as_ref(), &inputs, units)
 }
 
 /// Renders a scene made in code.

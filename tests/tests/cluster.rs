@@ -175,7 +175,7 @@ async fn limits_are_refused_with_the_flag_that_raises_them() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_time_limit_that_could_never_end_the_job_is_refused() {
     let (_store, coordinator) = start(small_leases()).await;
-    let limits = Limits { time: Some(Duration::from_secs(9)) };
+    let limits = Limits { time: Some(Duration::from_secs(9)), error: None };
     let request = SubmitRequest { limits, ..request(&RING, &small_settings()) };
     let submitted = coordinator.client().await.submit(&request, |_, _| {}).await;
     let Err(ClientError::Refused(text)) = submitted else { panic!("{submitted:?}") };

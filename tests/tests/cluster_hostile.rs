@@ -94,7 +94,7 @@ async fn submissions_without_scene_blobs_or_sense_are_refused() {
         submit(wire::SubmitRequest { request_key: vec![1; 3].into(), ..good.clone() }).await,
         Code::InvalidArgument
     );
-    let limits = Some(wire::Limits { time_ms: Some(0) });
+    let limits = Some(wire::Limits { time_ms: Some(0), error: None });
     assert_eq!(submit(wire::SubmitRequest { limits, ..good.clone() }).await, Code::InvalidArgument);
     let nonsense = wire::RenderSettings { width: 0, ..settings };
     assert_eq!(submit(wire::SubmitRequest { settings: Some(nonsense), ..good }).await, Code::InvalidArgument);

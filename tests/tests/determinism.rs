@@ -69,7 +69,7 @@ static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {
         method,
         width: 72,
         height: 56,
-        samples: 2,
+        samples: 5,
         photons: 20_000,
         caustic_photons: 30_000,
         k: 20,
@@ -156,10 +156,40 @@ fn all_rounds_and_units_are_counted() {
     }
 }
 
+/// The least error that is met after some rounds ends the job there, whoever computes it; the image is the mean of these
+/// rounds and says so.
+#[test]
+fn an_error_limit_ends_a_job_after_the_same_round_everywhere_or_is_refused() {
+    for case in &*CASES {
+        let limited = |error| Limits { time: None, error: Some(error) };
+        let rounds = case.phases.iter().filter(|p| matches!(p, Phase::Gather { .. })).count();
+        if rounds < 2 {
+            let config = Config { limits: limited(0.1), ..Config::default() };
+            let refused = render(&RING, &case.settings, &config, |_| {});
+            let Err(RenderError::Refused(text)) = refused else { panic!("{}: was not refused", case.name()) };
+            assert!(text.contains(case.settings.method.name()), "{text}");
+            continue;
+        }
+        let whole = case.render(1, 1, |_| {});
+        let noise = whole.stats.noise.expect("rounds to compare");
+        assert!(noise.relative > 0.0 && whole.metadata.noise == Some(noise), "{}: {noise:?}", case.name());
+        let ended = [(1, 2), (3, 1)].map(|(w, t)| case.render(w, t, |c| c.limits = limited(1e6)));
+        for result in &ended {
+            // The least number that an error is trusted after.
+            assert_eq!((result.stats.rounds_done, result.stats.ended_by), (4, Some(Limit::Error)), "{}", case.name());
+            assert!(result.stats.noise.is_some_and(|n| n.relative <= 1e6));
+        }
+        assert_eq!(film_sha256(&ended[0].film), film_sha256(&ended[1].film), "{}", case.name());
+        let unreachable = case.render(2, 1, |c| c.limits = limited(1e-6));
+        assert_eq!(unreachable.stats.ended_by, None);
+        case.assert_same_bits(&unreachable);
+    }
+}
+
 #[test]
 fn a_time_limit_gives_the_mean_of_the_rounds_that_are_done_or_is_refused() {
     for case in &*CASES {
-        let limits = Limits { time: Some(Duration::from_millis(1)) };
+        let limits = Limits { time: Some(Duration::from_millis(1)), error: None };
         let rounds = case.phases.iter().filter(|p| matches!(p, Phase::Gather { .. })).count();
         let has_splat = case.has(|p| matches!(p, Phase::Splat { .. }));
         if rounds < 2 && !has_splat {
@@ -178,7 +208,8 @@ fn a_time_limit_gives_the_mean_of_the_rounds_that_are_done_or_is_refused() {
             continue;
         }
         // The first round of five, whoever computes it; nothing of the second is counted.
-        assert_eq!((stats.rounds_done, cut_off.metadata.rounds), (1, Some(1)), "{}", case.name());
+        let said = if case.settings.method.has_rounds() { cut_off.metadata.rounds } else { cut_off.metadata.samples };
+        assert_eq!((stats.rounds_done, said), (1, Some(1)), "{}", case.name());
         let first = case.phases.iter().filter(|p| matches!(p, Phase::Emission { .. }) && p.round() == 0);
         let emitted: u64 = cut_off.metadata.maps.iter().map(|m| m.emitted_count).sum();
         assert_eq!(emitted, first.map(Phase::units).sum::<u64>(), "{}", case.name());

@@ -21,6 +21,8 @@ fn metadata() -> ImageMetadata {
         }],
         plan: vec!["caustic map: kept, “glass” refracts".into()],
         non_finite: 3,
+        samples: None,
+        noise: None,
         rounds: None,
         units: None,
     }

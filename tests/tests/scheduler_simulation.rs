@@ -93,11 +93,36 @@ fn a_time_limit_ends_jobs_with_whole_rounds_and_units_in_any_weather() {
 }
 
 #[test]
+fn images_that_are_good_enough_end_their_jobs_with_whole_rounds_in_any_weather() {
+    let reports = all(|seed| Conditions {
+        workers: 2 + seed as usize % 5,
+        good_after: Some(1 + seed as u32 % 9),
+        ..in_rounds(Conditions::stormy())
+    });
+    if reports.len() > 1 {
+        let (jobs, cut_off) = (reports.iter().map(|r| r.jobs).sum::<usize>(), reports.iter().map(|r| r.cut_off).sum());
+        assert!((jobs / 10..jobs).contains(&cut_off), "{cut_off} of {jobs} jobs were ended by their error");
+    }
+}
+
+#[test]
 fn a_thousand_workers_keep_busy_over_rounds() {
     let conditions =
         Conditions { workers: 1_000, paths: 100_000_000, tiles: 30_000, rounds: 12, jobs: 1, ..Conditions::fair() };
     // Seeds of jobs with several rounds of both maps.
-    let report = (0..).map(|seed| simulate(seed, &conditions)).find(|r| r.rounds >= 8).unwrap_or_default();
+    let mut reports = (0..).map(|seed| simulate(seed, &conditions));
+    let report = reports.find(|r| r.rounds >= 8 && r.widest_window > 4).unwrap_or_default();
+    assert_eq!(report.retried, 0);
+    assert!(report.idle_fraction < 0.25, "idle {:.3}, {report:?}", report.idle_fraction);
+}
+
+/// An 8K image in passes that all read the same maps: at most two passes are under way, and closing one hides behind the next.
+#[test]
+fn a_thousand_workers_keep_busy_over_passes() {
+    let conditions =
+        Conditions { workers: 1_000, paths: 100_000_000, tiles: 130_000, rounds: 12, jobs: 1, ..Conditions::fair() };
+    let mut reports = (0..).map(|seed| simulate(seed, &conditions));
+    let report = reports.find(|r| r.rounds >= 8 && r.widest_window == 4).unwrap_or_default();
     assert_eq!(report.retried, 0);
     assert!(report.idle_fraction < 0.25, "idle {:.3}, {report:?}", report.idle_fraction);
 }

@@ -10,22 +10,37 @@ use std::time::Duration;
 #[derive(Args, Clone, Copy, Debug)]
 #[command(next_help_heading = "Run")]
 pub(super) struct LimitArgs {
-    /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done; for
-    /// methods with rounds or Markov chains
+    /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     time_limit: Option<Duration>,
+    /// Begin no further round once the image's standard error is this share of its mean, e.g. 1% or 0.01; noise only: the blur
+    /// of photon maps is not in it
+    #[arg(long, value_name = "E", value_parser = parse_share)]
+    target_error: Option<f32>,
+}
+
+/// `1%` or `0.01` → 0.01.
+fn parse_share(text: &str) -> Result<f32, String> {
+    let (number, unit) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 0.01));
+    let value = number.trim().parse::<f32>().ok().map(|v| v * unit).filter(|v| v.is_finite() && *v > 0.0);
+    value.ok_or_else(|| format!("{text:?} is no error above 0, such as 1% or 0.01"))
 }
 
 impl LimitArgs {
-    /// The limits of a job that can end early, or not.
+    /// The limits of a job that can end early, or not, and that has so many rounds to know its error by.
     ///
     /// # Errors
     /// When there is a limit that can never end the job.
-    pub(super) fn limits(self, can_end_early: bool) -> Result<Limits, CliError> {
+    pub(super) fn limits(self, can_end_early: bool, rounds: u32) -> Result<Limits, CliError> {
         if self.time_limit.is_some() && !can_end_early {
             let text = "--time-limit ends a job between two rounds or Markov chains, and this one has a single round";
             return Err(CliError::Usage(text.into()));
         }
-        Ok(Limits { time: self.time_limit })
+        if self.target_error.is_some() && rounds == 1 {
+            let text = "--target-error needs rounds to know the error by, and this job has a single one: leave out --merge \
+                        independent, take another method than mlt, or more than one sample";
+            return Err(CliError::Usage(text.into()));
+        }
+        Ok(Limits { time: self.time_limit, error: self.target_error })
     }
 }

@@ -25,6 +25,8 @@ pub(super) struct Preflight {
     pub(super) json: Value,
     /// Whether a limit can end the job before all its work is done.
     pub(super) can_end_early: bool,
+    /// Rounds of tiles.
+    pub(super) rounds: u32,
 }
 
 impl Preflight {
@@ -46,6 +48,7 @@ impl Preflight {
             warnings: job.warnings().to_vec(),
             json: plan_json(job, choice),
             can_end_early: can_end_early(&job.phases()),
+            rounds: job.rounds(),
         }
     }
 

@@ -115,7 +115,7 @@ impl JobView {
             *figures = Figures { done: p.done, total: p.total, rate: p.rate, elapsed: p.state_elapsed };
             bar.set_length(p.total.max(1));
             bar.set_position(p.done);
-            bar.set_message(running_text(Some(state), *figures, p.workers));
+            bar.set_message(joined([running_text(Some(state), *figures, p.workers), noise_text(p)]));
         }
     }
 
@@ -134,8 +134,7 @@ impl JobView {
         bar.set_length(total);
         bar.set_position(done);
         let now = format!("{}, {}", round(p).unwrap_or_default(), phase_name(&p.state));
-        let rest = running_text(None, *figures, p.workers);
-        bar.set_message([now, rest].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", "));
+        bar.set_message(joined([now, running_text(None, *figures, p.workers), noise_text(p)]));
     }
 
     /// Closes the bar on show; call when no more snapshots will come.
@@ -200,6 +199,16 @@ fn running_text(state: Option<&JobState>, f: Figures, workers: u32) -> String {
         text.push_str(&format!(", {workers} workers"));
     }
     text.trim_start_matches(", ").to_string()
+}
+
+/// The error so far, where it is known.
+fn noise_text(p: &JobProgress) -> String {
+    p.stats.noise.map_or_else(String::new, |n| format!("standard error {:.2} %", 100.0 * n.relative))
+}
+
+/// The parts that say something.
+fn joined<const N: usize>(parts: [String; N]) -> String {
+    parts.into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", ")
 }
 
 fn ended_text(state: Option<&JobState>, f: Figures) -> String {

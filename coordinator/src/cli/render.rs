@@ -8,7 +8,7 @@ use super::progress::{JobView, MessageArgs};
 use super::scene::{Loaded, SceneArgs};
 use super::{print_json, print_result};
 use crate::embedded;
-use crate::report::{self, Summary};
+use crate::report::Summary;
 use clap::Args;
 use gatherlight_render::export;
 use gatherlight_render::job::PreparedJob;
@@ -58,7 +58,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job, &choice);
     preflight.report_warnings(args.strict)?;
-    let limits = args.limits.limits(preflight.can_end_early)?;
+    let limits = args.limits.limits(preflight.can_end_early, preflight.rounds)?;
     args.messages.note(&preflight.text());
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
@@ -69,7 +69,6 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
 
     output.write_film(&result.film, &export::encode(&result.film, &result.metadata)?)?;
     let summary = Summary {
-        noise: report::noise(&result.film),
         settings,
         stats: result.stats,
         elapsed: result.elapsed,

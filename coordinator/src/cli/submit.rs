@@ -55,7 +55,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let loaded = args.scene.load()?;
     let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
-    let limits = args.limits.limits(preflight.can_end_early)?;
+    let limits = args.limits.limits(preflight.can_end_early, preflight.rounds)?;
     args.messages.note(&preflight.text());
     let Loaded { bundle, settings, .. } = loaded;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
@@ -107,7 +107,7 @@ async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, outpu
 }
 
 fn summary(settings: RenderSettings, last: &crate::types::JobProgress, output: &Output) -> Summary {
-    Summary { settings, stats: last.stats.clone(), elapsed: last.elapsed, noise: None, files: output.names() }
+    Summary { settings, stats: last.stats.clone(), elapsed: last.elapsed, files: output.names() }
 }
 
 fn with_job(mut summary: Value, job: Value, digest: &str) -> Value {

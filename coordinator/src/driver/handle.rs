@@ -1,6 +1,7 @@
 //! How the rest of the coordinator speaks to the driver.
 
 use super::job::Spec;
+use super::live::ClosedRound;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
@@ -43,6 +44,7 @@ pub(crate) enum Input {
     Source(u64, Digest, Reply<Option<Source>>),
     /// What was made of a phase of this round.
     Built(JobId, u32, Result<Built, String>),
+    Closed(JobId, Result<ClosedRound, String>),
     Assembled(JobId, Result<Image, String>),
     Shutdown,
 }
@@ -64,9 +66,12 @@ pub enum SubmitError {
         /// The limit.
         limit: u64,
     },
-    /// The job has a limit that can never end it.
+    /// The job has a time limit that can never end it.
     #[error("a time limit ends a job between two rounds or splat units, and this one has a single round: method {0}")]
-    Limits(&'static str),
+    TimeLimit(&'static str),
+    /// The job has an error limit and nothing to know its error by.
+    #[error("an error limit needs rounds to compare, and this job has none: method {0}")]
+    ErrorLimit(&'static str),
     /// The coordinator is shutting down.
     #[error("the coordinator is shutting down")]
     Closed,

@@ -63,6 +63,8 @@ pub(super) struct JobRecord {
     state: JobState,
     round: u32,
     rounds: u32,
+    /// Tiles of all rounds.
+    tiles: u64,
     state_since: Duration,
     progress: watch::Sender<JobProgress>,
 }
@@ -72,11 +74,13 @@ impl JobRecord {
         let live = Live::new(&spec, sink);
         let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
+        let (prepared_rounds, tiles) = (prepared.rounds(), u64::from(prepared.grid().len()) * u64::from(prepared.rounds()));
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
         let about = About::new(&prepared, phases);
         let maps = map_stats(phases);
         let stats = JobStats { maps, k: settings.k, gather_radius: settings.max_radius, ..JobStats::default() };
-        let rounds = phases.iter().filter(|p| matches!(p, Phase::Gather { .. })).count().max(1) as u32;
+        // Passes over the pixels are one phase to whoever watches.
+        let rounds = if settings.method.has_rounds() { prepared_rounds } else { 1 };
         let first = JobProgress { rounds, ..snapshot(id, &name, &stats) };
         JobRecord {
             id,
@@ -96,6 +100,7 @@ impl JobRecord {
             state: JobState::Waiting,
             round: 0,
             rounds,
+            tiles,
             state_since: now,
             progress: watch::Sender::new(first),
         }
@@ -183,11 +188,13 @@ impl JobRecord {
         match in_stage(Stage::Working).next() {
             Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => (JobState::Splat, done(s)),
             Some(s) => self.gathering(job, round, workers, done(s)),
+            None if self.rounds == 1 => (JobState::Gather, (job.total(Kind::Gather).units, self.tiles)),
             None => (JobState::Gather, (0, 0)),
         }
     }
     /// The state of a gather phase: maps are on their way until the first tiles are there.
     fn gathering(&self, job: &Job, round: u32, workers: u64, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
+        let tiles = if self.rounds == 1 { (job.total(Kind::Gather).units, self.tiles) } else { tiles };
         let bytes: u64 = job.maps(round).iter().map(|m| m.bytes).sum();
         let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes * workers.max(1));
         if tiles.0 == 0 && bytes > 0 && sent < total {

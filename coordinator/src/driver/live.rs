@@ -10,7 +10,7 @@ use crate::types::JobStats;
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::InputRef;
-use gatherlight_render::film::{Accumulator, ChannelSet, LightImage, Tile, TileGrid};
+use gatherlight_render::film::{Accumulator, LightImage, Noise, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -29,7 +29,17 @@ struct Served {
     retires: bool,
 }
 
-/// The light image and its sum so far.
+/// Where the film in the making is.
+enum FilmState {
+    /// No tile has come yet.
+    Empty,
+    /// Here.
+    Here(Accumulator),
+    /// With the compute threads, which close a round.
+    Closing,
+}
+
+/// The light image and its sum so far, of the round in the making.
 struct LightParts {
     empty: Arc<LightImage>,
     sum: Arc<LightSum>,
@@ -38,16 +48,16 @@ struct LightParts {
 /// See the module.
 pub(super) struct Live {
     prepared: Arc<PreparedJob>,
-    grid: TileGrid,
-    channels: ChannelSet,
-    rounds: u32,
+    /// Relative error at which the image is good enough.
+    target: Option<f32>,
     /// Photons by round and map, from the first result to the building of the map.
     mergers: BTreeMap<(u32, MapKind), Merger>,
     /// Luminances by first bootstrap path, until they are joined.
     luminances: BTreeMap<u64, Vec<f32>>,
     bootstrap: Option<Arc<Bootstrap>>,
-    /// There once the first tile is.
-    film: Option<Accumulator>,
+    film: FilmState,
+    /// Results of the round after the one that is being closed.
+    early: Vec<(Vec<Tile>, Option<LightImage>)>,
     light: Option<LightParts>,
     served: Vec<Served>,
     /// Bytes sent of what is not served any more.
@@ -63,13 +73,12 @@ impl Live {
             .light_image()
             .map(|empty| LightParts { sum: Arc::new(LightSum::new(empty.clone())), empty: Arc::new(empty) });
         Live {
-            grid: prepared.grid(),
-            channels: prepared.channels(),
-            rounds: prepared.rounds(),
+            target: spec.limits.error,
             mergers: BTreeMap::new(),
             luminances: BTreeMap::new(),
             bootstrap: None,
-            film: None,
+            film: FilmState::Empty,
+            early: Vec::new(),
             light,
             served: Vec::new(),
             retired_bytes: 0,
@@ -114,29 +123,57 @@ impl Live {
             }
             (Payload::Light(light), Phase::Splat { .. }) => self.add_light(light, stats),
             (Payload::Tiles(tiles, light), Phase::Gather { round, .. }) => {
-                self.add_tiles(round, &tiles, stats)?;
-                light.map_or(Ok(()), |light| self.add_light(light, stats))
+                for tile in &tiles {
+                    stats.rays = stats.rays.saturating_add(tile.rays);
+                    stats.non_finite = stats.non_finite.saturating_add(tile.non_finite);
+                }
+                if let Some(light) = &light {
+                    count_light(light, stats);
+                }
+                self.add_tiles(round, tiles, light)
             }
             _ => Err("a result is of another kind than its task".into()),
         }
     }
-    fn add_tiles(&mut self, round: u32, tiles: &[Tile], stats: &mut JobStats) -> Result<(), String> {
-        let (grid, channels, rounds) = (self.grid, &self.channels, self.rounds);
-        let film = self.film.get_or_insert_with(|| Accumulator::new(grid, channels.clone(), rounds));
-        for tile in tiles {
-            film.insert(round, tile).map_err(|e| e.to_string())?;
-            stats.rays = stats.rays.saturating_add(tile.rays);
-            stats.non_finite = stats.non_finite.saturating_add(tile.non_finite);
+    fn add_tiles(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
+        if matches!(self.film, FilmState::Empty) {
+            self.film = FilmState::Here(self.prepared.accumulator());
         }
-        Ok(())
+        match &mut self.film {
+            FilmState::Here(film) if film.closed_rounds() == round => {
+                tiles.iter().try_for_each(|tile| film.insert(round, tile)).map_err(|e| e.to_string())?;
+                self.put_light(light)
+            }
+            _ => {
+                self.early.push((tiles, light));
+                Ok(())
+            }
+        }
     }
     fn add_light(&mut self, light: LightImage, stats: &mut JobStats) -> Result<(), String> {
-        let parts = self.light.as_ref().ok_or("the method has no light image")?;
-        stats.rays = stats.rays.saturating_add(light.rays());
-        stats.mutations.add(light.mutations());
-        stats.non_finite = stats.non_finite.saturating_add(light.non_finite());
-        parts.sum.put(light);
+        count_light(&light, stats);
+        self.put_light(Some(light))
+    }
+    fn put_light(&mut self, light: Option<LightImage>) -> Result<(), String> {
+        let Some(light) = light else { return Ok(()) };
+        self.light.as_ref().ok_or("the method has no light image")?.sum.put(light);
         Ok(())
+    }
+
+    /// What `round` is closed with, once all of its tiles are there: the film and what was splatted.
+    pub(super) fn take_round(&mut self, round: u32) -> Option<Round> {
+        let FilmState::Here(film) = std::mem::replace(&mut self.film, FilmState::Closing) else { return None };
+        let (light, empty) = match &self.light {
+            Some(parts) => (Some(parts.sum.clone()), Some(parts.empty.clone())),
+            None => (None, None),
+        };
+        Some(Round { round, film, light, empty, target: self.target })
+    }
+    /// Takes back the film of a closed round, and adds what came meanwhile of the next.
+    pub(super) fn closed(&mut self, film: Accumulator) -> Result<(), String> {
+        let round = film.closed_rounds();
+        self.film = FilmState::Here(film);
+        std::mem::take(&mut self.early).into_iter().try_for_each(|(tiles, light)| self.add_tiles(round, tiles, light))
     }
 
     /// What the map of a round is built from.
@@ -179,8 +216,11 @@ impl Live {
     pub(super) fn parts(&mut self, done: Done) -> Parts {
         // Of a round that a limit has cut off.
         self.mergers.clear();
-        let (grid, rounds) = (self.grid, self.rounds);
-        let film = self.film.take().unwrap_or_else(|| Accumulator::new(grid, self.channels.clone(), rounds));
+        self.early.clear();
+        let film = match std::mem::replace(&mut self.film, FilmState::Empty) {
+            FilmState::Here(film) => film,
+            FilmState::Empty | FilmState::Closing => self.prepared.accumulator(),
+        };
         Parts {
             prepared: self.prepared.clone(),
             film,
@@ -190,6 +230,54 @@ impl Live {
             bootstrap: self.bootstrap.clone(),
         }
     }
+}
+
+/// A round that is complete, on its way through the compute threads.
+pub(super) struct Round {
+    round: u32,
+    film: Accumulator,
+    light: Option<Arc<LightSum>>,
+    empty: Option<Arc<LightImage>>,
+    target: Option<f32>,
+}
+
+impl Round {
+    /// Closes it, on the current rayon pool.
+    ///
+    /// # Errors
+    /// When tiles are missing, or a light image is of another job.
+    pub(super) fn close(self) -> Result<ClosedRound, String> {
+        let Round { round, mut film, light, empty, target } = self;
+        if film.closed_rounds() != round || !film.is_round_complete() {
+            return Err(format!("tiles are missing from round {round}"));
+        }
+        let light = match (light, empty) {
+            (Some(sum), Some(empty)) => Some(sum.finish(LightImage::clone(&empty)).map_err(|e| e.to_string())?),
+            _ => None,
+        };
+        film.close(light.as_ref());
+        let noise = film.noise();
+        let good = |n: Noise| film.closed_rounds() >= LEAST_ROUNDS && target.is_some_and(|t| n.relative <= f64::from(t));
+        Ok(ClosedRound { round, is_good_enough: noise.is_some_and(good), noise, film: Box::new(film) })
+    }
+}
+
+/// Rounds before whose closing no image is said to be good enough: the noise is known by their differences.
+const LEAST_ROUNDS: u32 = 4;
+
+/// A round that has been closed.
+#[derive(Debug)]
+pub(crate) struct ClosedRound {
+    pub(super) round: u32,
+    pub(super) is_good_enough: bool,
+    pub(super) noise: Option<Noise>,
+    pub(super) film: Box<Accumulator>,
+}
+
+fn count_light(light: &LightImage, stats: &mut JobStats) {
+    stats.rays = stats.rays.saturating_add(light.rays());
+    stats.mutations.add(light.mutations());
+    stats.non_finite = stats.non_finite.saturating_add(light.non_finite());
 }
 
 impl Drop for Live {
@@ -261,7 +349,7 @@ mod tests {
         let (rounds, offers) = (50, Arc::new(Offers::default()));
         let spec = spec(rounds);
         let mut live = Live::new(&spec, Some(offers.clone()));
-        let (grid, channels, mut stats) = (live.grid, live.channels.clone(), JobStats::default());
+        let (grid, channels, mut stats) = (spec.prepared.grid(), spec.prepared.channels(), JobStats::default());
         for round in 0..rounds {
             let (merger, _) = live.take_photons(round, MapKind::Global, 0);
             assert!(merger.is_complete());
@@ -281,6 +369,8 @@ mod tests {
                 let phase = Phase::Gather { round, tiles: grid.len() };
                 live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
             }
+            let closed = live.take_round(round).expect("is there").close().unwrap();
+            live.closed(*closed.film).unwrap();
             // As the scheduler has it: the next round's map is there before this round is over.
             if round > 0 {
                 live.retire(round - 1);
@@ -291,7 +381,7 @@ mod tests {
         }
         assert_eq!(stats.rays, u64::from(rounds * grid.len()));
         let parts = live.parts(Done { rounds, ..Done::default() });
-        assert_eq!(parts.film.complete_rounds(), rounds);
+        assert_eq!(parts.film.closed_rounds(), rounds);
         drop(live);
         assert!(offers.0.lock().unwrap().is_empty());
     }

@@ -172,6 +172,7 @@ impl Driver {
                 drop(reply.send(known.then(|| self.source(digest)).flatten()));
             }
             Input::Built(id, round, built) => self.built(id, round, built),
+            Input::Closed(id, closed) => self.closed(id, closed),
             Input::Assembled(id, image) => self.assembled(id, image),
             // The loop has ended before it gets here.
             Input::Shutdown => {}
@@ -184,7 +185,10 @@ impl Driver {
         }
         let phases = spec.prepared.phases();
         if spec.limits.time.is_some() && !can_end_early(&phases) {
-            return Err(SubmitError::Limits(spec.settings.method.name()));
+            return Err(SubmitError::TimeLimit(spec.settings.method.name()));
+        }
+        if spec.limits.error.is_some() && spec.prepared.rounds() == 1 {
+            return Err(SubmitError::ErrorLimit(spec.settings.method.name()));
         }
         let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);
         if needed > limit {

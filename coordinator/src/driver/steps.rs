@@ -3,6 +3,7 @@
 
 use super::Driver;
 use super::handle::{Built, Handle, Image, Input, Made, Source};
+use super::live::ClosedRound;
 use crate::compute::Panicked;
 use crate::schedule::Event;
 use crate::schedule::job::Done;
@@ -14,11 +15,12 @@ use gatherlight_render::job::Phase;
 use tokio::sync::mpsc;
 
 impl Driver {
-    /// Joins the results of an emission or bootstrap phase.
+    /// Joins the results of an emission or bootstrap phase, or closes the round of a gather.
     pub(super) fn build(&mut self, id: JobId, phase: Phase) {
         let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
         let (own, sink) = (self.own.clone(), live.sink());
-        let built = move |result| report(&own, Input::Built(id, phase.round(), flat(result)));
+        let to_built = own.clone();
+        let built = move |result| report(&to_built, Input::Built(id, phase.round(), flat(result)));
         match phase {
             Phase::Emission { round, map, paths } => {
                 let (merger, prepared) = live.take_photons(round, map, paths);
@@ -28,7 +30,12 @@ impl Driver {
                 let luminances = live.take_luminances();
                 self.compute.spawn(move || merge::build_bootstrap(paths, luminances, sink.as_deref()), built);
             }
-            Phase::Splat { .. } | Phase::Gather { .. } => {}
+            Phase::Gather { round, .. } => {
+                let Some(round) = live.take_round(round) else { return };
+                let closed = move |result| report(&own, Input::Closed(id, flat(result)));
+                self.compute.spawn(move || round.close(), closed);
+            }
+            Phase::Splat { .. } => {}
         }
         self.refresh(id);
     }
@@ -53,6 +60,21 @@ impl Driver {
         live.serve(round, built);
         tracing::info!(job = %id, round, ?input, "built");
         self.event(Event::Built { job: id, round, input });
+        self.refresh(id);
+    }
+
+    /// Goes on with the film of a closed round.
+    pub(super) fn closed(&mut self, id: JobId, closed: Result<ClosedRound, String>) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(live) = job.live.as_mut() else { return };
+        let result = closed.and_then(|c| {
+            job.stats.noise = c.noise;
+            live.closed(*c.film).map(|()| (c.round, c.is_good_enough))
+        });
+        match result {
+            Ok((round, is_good_enough)) => self.event(Event::Closed { job: id, round, is_good_enough }),
+            Err(error) => self.event(Event::StepFailed { job: id, error }),
+        }
         self.refresh(id);
     }
 

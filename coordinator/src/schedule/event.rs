@@ -90,6 +90,15 @@ pub enum Event {
         /// What was made, and where workers find it.
         input: InputRef,
     },
+    /// [`Command::Build`] is done for a gather.
+    Closed {
+        /// The job.
+        job: JobId,
+        /// The round.
+        round: u32,
+        /// Whether the image is as good as was asked for: no further round is wanted.
+        is_good_enough: bool,
+    },
     /// [`Command::Assemble`] is done.
     Assembled {
         /// The job.
@@ -171,7 +180,8 @@ pub enum Command {
         /// Why.
         reason: Discarded,
     },
-    /// All results of an emission or bootstrap phase are there: join them, and make of them what workers read.
+    /// All results of a phase are there. Of an emission or bootstrap: join them, and make of them what workers read; of a gather:
+    /// close its round.
     Build {
         /// The job.
         job: JobId,

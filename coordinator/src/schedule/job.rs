@@ -4,9 +4,10 @@
 //! progress at once: the window.
 //!
 //! ```text
-//!                          all indices done        input made
+//!                          all indices done        input made, or round closed
 //!  emission, bootstrap:  Working ───► Building ───► Complete
-//!  gather, splat:        Working ─────────────────► Complete
+//!  gather of a round:    Working ───► Building ───► Complete
+//!  only gather, splat:   Working ─────────────────► Complete
 //!
 //!                     all of round r complete:              after the last round,
 //!                     its maps are retired                  or when a limit is reached
@@ -14,7 +15,9 @@
 //!                └───────────────────┴─────────────┴───────────────────────┴─────────► Failed | Cancelled
 //! ```
 //! - An emission or bootstrap is open as soon as it is in the window; a gather once all maps of its round are built and
-//!   the gather before it is complete, because a tile's rounds are summed in order; a splat once its bootstrap is built.
+//!   nothing of the gather before it is left to hand out; a splat once its bootstrap is built.
+//! - A gather reads the latest maps: those of its own round, or of the last round before it that had any.
+//! - Rounds are closed in order. What is computed of a round before the one before it is closed waits for that.
 //! - Open phases are handed out in order: the next one gives work only where nothing of those before is left. So one map
 //!   is merged while the next is traced, and the photons of a round are traced while the tiles of the one before are
 //!   finished.
@@ -36,7 +39,7 @@ use std::collections::{BTreeMap, VecDeque};
 pub enum Stage {
     /// Indices are missing.
     Working,
-    /// The coordinator joins the results.
+    /// The coordinator joins the results, or closes the round.
     Building,
     /// All is done; workers may fetch what was made of it.
     Complete(Option<InputRef>),
@@ -76,6 +79,12 @@ pub struct Job {
     submitted: Duration,
     totals: BTreeMap<Kind, Total>,
     rounds_done: u32,
+    /// Maps of rounds that are over, which later rounds read too.
+    kept: Vec<MapRef>,
+    /// The image is as good as was asked for.
+    is_good_enough: bool,
+    /// The time limit is reached.
+    is_late: bool,
     ended_by: Option<Limit>,
     /// Leases handed out again so far.
     pub retried: u64,
@@ -99,7 +108,7 @@ pub struct Done {
 pub enum Next {
     /// Nothing new.
     Nothing,
-    /// Join the results of this emission or bootstrap phase.
+    /// Join the results of this emission or bootstrap phase, or close the round of this gather.
     Build(Phase),
     /// Drop the maps of this round.
     Retire(u32),
@@ -150,6 +159,9 @@ impl Job {
             submitted: now,
             totals: BTreeMap::new(),
             rounds_done: 0,
+            kept: Vec::new(),
+            is_good_enough: false,
+            is_late: false,
             ended_by: None,
             retried: 0,
             stuck_since: None,
@@ -182,7 +194,10 @@ impl Job {
     }
     /// The phases with something to hand out, in order, by index.
     pub fn open_phases(&self) -> impl Iterator<Item = usize> + '_ {
-        let open = |&i: &usize| self.window[i].work.waiting() > 0 && self.is_open(i);
+        // A round that a limit is about to cut off is not worth beginning.
+        let wanted = |round: u32| round == self.round() || !(self.is_late || self.is_good_enough);
+        let open =
+            move |&i: &usize| self.window[i].work.waiting() > 0 && wanted(self.window[i].round()) && self.is_open(i);
         (0..self.window.len()).filter(open).map(|i| self.first + i)
     }
     /// Whether what step `place` of the window reads is there.
@@ -193,7 +208,7 @@ impl Job {
             Phase::Splat { .. } => before.all(|s| s.is_complete() || !matches!(s.work.phase, Phase::Bootstrap { .. })),
             Phase::Gather { round, .. } => before.all(|s| match s.work.phase {
                 Phase::Emission { round: r, .. } => s.is_complete() || r != round,
-                Phase::Gather { .. } => s.is_complete(),
+                Phase::Gather { .. } => s.work.waiting() == 0,
                 _ => true,
             }),
         }
@@ -215,10 +230,12 @@ impl Job {
             Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round) },
         })
     }
-    /// The maps of a round that are built, in order.
+    /// The maps that a round reads, as far as they are built, in order.
     pub fn maps(&self, round: u32) -> Vec<MapRef> {
         let map = |s: &Step| if let Stage::Complete(Some(InputRef::Map(map))) = s.stage { Some(map) } else { None };
-        self.window.iter().filter(|s| s.round() == round).filter_map(map).collect()
+        let built = self.window.iter().filter(|s| s.round() <= round).filter_map(map);
+        let latest: BTreeMap<MapKind, MapRef> = self.kept.iter().copied().chain(built).map(|m| (m.kind, m)).collect();
+        latest.into_values().collect()
     }
     fn bootstrap(&self) -> Option<BlobRef> {
         self.window.iter().find_map(|s| match s.stage {
@@ -250,20 +267,32 @@ impl Job {
         if self.assembling {
             return Next::Nothing;
         }
-        if self.is_time_over(now) {
+        self.is_late = self.is_time_over(now);
+        if self.is_late {
             self.end_splats();
         }
         self.begin();
+        let (first, closes_rounds) = (self.round(), self.closes_rounds());
         for step in self.window.iter_mut().filter(|s| s.stage == Stage::Working && s.work.is_complete()) {
             match step.work.phase {
                 phase @ (Phase::Emission { .. } | Phase::Bootstrap { .. }) => {
                     step.stage = Stage::Building;
                     return Next::Build(phase);
                 }
+                phase @ Phase::Gather { round, .. } if closes_rounds => {
+                    if round == first {
+                        step.stage = Stage::Building;
+                        return Next::Build(phase);
+                    }
+                }
                 Phase::Splat { .. } | Phase::Gather { .. } => step.stage = Stage::Complete(None),
             }
         }
         self.end_round(now)
+    }
+    /// Whether rounds are closed one by one: there are several.
+    fn closes_rounds(&self) -> bool {
+        self.phases.iter().filter(|p| Kind::of(**p) == Kind::Gather).nth(1).is_some()
     }
     /// Moves the window on to the phases of the present round and the next.
     fn begin(&mut self) {
@@ -281,15 +310,23 @@ impl Job {
         if self.window.iter().any(|s| s.round() == round && !s.is_complete()) {
             return Next::Nothing;
         }
+        let maps = self.maps(round);
         while let Some(step) = self.window.pop_front_if(|s| s.round() == round) {
             self.rounds_done += u32::from(matches!(step.work.phase, Phase::Gather { .. }));
             self.first += 1;
         }
         if self.first < self.phases.len() {
-            if !self.is_time_over(now) {
-                return Next::Retire(round);
+            let limit = if self.is_good_enough { Some(Limit::Error) } else { self.is_time_over(now).then_some(Limit::Time) };
+            if limit.is_none() {
+                let next = self.phases[self.first..].iter().take_while(|p| p.round() == round + 1);
+                if next.filter(|p| matches!(p, Phase::Emission { .. })).count() > 0 {
+                    self.kept.clear();
+                    return Next::Retire(round);
+                }
+                self.kept = maps;
+                return self.advance(now);
             }
-            self.ended_by = Some(Limit::Time);
+            self.ended_by = limit;
             self.drop_window();
         }
         self.assembling = true;
@@ -317,6 +354,15 @@ impl Job {
                 self.ended_by = Some(Limit::Time);
             }
         }
+    }
+    /// Notes that a round is closed, and whether the image is as good as was asked for. Returns whether that was awaited.
+    pub fn closed(&mut self, round: u32, is_good_enough: bool) -> bool {
+        let is_it =
+            |s: &&mut Step| s.stage == Stage::Building && s.round() == round && Kind::of(s.work.phase) == Kind::Gather;
+        let Some(step) = self.window.iter_mut().find(is_it) else { return false };
+        step.stage = Stage::Complete(None);
+        self.is_good_enough = is_good_enough;
+        true
     }
     /// Notes that the input made of a phase of `round` is there. Returns whether that was awaited.
     pub fn built(&mut self, round: u32, input: InputRef) -> bool {

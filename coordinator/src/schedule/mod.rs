@@ -91,6 +91,11 @@ impl Scheduler {
                     self.advance(job, &mut out);
                 }
             }
+            Event::Closed { job, round, is_good_enough } => {
+                if self.jobs.get_mut(&job).is_some_and(|j| j.closed(round, is_good_enough)) {
+                    self.advance(job, &mut out);
+                }
+            }
             Event::Assembled { job } => self.end(job, Outcome::Done, &mut out),
             Event::StepFailed { job, error } => self.end(job, Outcome::Failed(error), &mut out),
             Event::Tick => self.tick(now, &mut out),

@@ -6,6 +6,7 @@ use crate::error::{WireError, truncated};
 use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, WorkerInfo};
 use crate::wire;
+use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::MapKind;
 use std::time::Duration;
@@ -133,12 +134,15 @@ impl From<&JobStats> for wire::JobStats {
             ended_by: match s.ended_by {
                 None => wire::Limit::Unspecified,
                 Some(Limit::Time) => wire::Limit::Time,
+                Some(Limit::Error) => wire::Limit::Error,
             }
             .into(),
             mutations: (s.mutations != Mutations::default()).then(|| {
                 let Mutations { large, large_accepted, small, small_accepted } = s.mutations;
                 wire::Mutations { large, large_accepted, small, small_accepted }
             }),
+            standard_error: s.noise.map(|n| n.standard_error),
+            relative_error: s.noise.map(|n| n.relative).filter(|r| r.is_finite()),
         }
     }
 }
@@ -178,15 +182,20 @@ impl TryFrom<wire::JobStats> for JobStats {
             ended_by: match wire::Limit::try_from(s.ended_by) {
                 Ok(wire::Limit::Unspecified) => None,
                 Ok(wire::Limit::Time) => Some(Limit::Time),
+                Ok(wire::Limit::Error) => Some(Limit::Error),
                 Err(_) => return Err(WireError::invalid("stats.ended_by", format!("{} is unknown here", s.ended_by))),
             },
+            noise: s.standard_error.map(|standard_error| Noise {
+                standard_error,
+                relative: s.relative_error.unwrap_or(f64::INFINITY),
+            }),
         })
     }
 }
 
 impl From<Limits> for wire::Limits {
     fn from(l: Limits) -> Self {
-        wire::Limits { time_ms: l.time.map(millis) }
+        wire::Limits { time_ms: l.time.map(millis), error: l.error }
     }
 }
 
@@ -198,7 +207,10 @@ impl TryFrom<wire::Limits> for Limits {
             let most = MAX_TIME_LIMIT.as_millis();
             return Err(WireError::invalid("limits.time_ms", format!("has to be 1 … {most} (MAX_TIME_LIMIT)")));
         }
-        Ok(Limits { time })
+        if l.error.is_some_and(|e| !(e.is_finite() && e > 0.0)) {
+            return Err(WireError::invalid("limits.error", "has to be above 0"));
+        }
+        Ok(Limits { time, error: l.error })
     }
 }
 

@@ -6,9 +6,10 @@ use crate::message::{
 };
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats};
 use crate::wire;
+use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::photon::{EmissionRange, MapKind};
-use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Layer, Merge, Method, RenderSettings};
+use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Merge, Method, RenderSettings};
 use prost::Message;
 use std::time::Duration;
 
@@ -36,7 +37,7 @@ fn settings() -> RenderSettings {
         mutations: 13,
         bootstrap: 14,
         large_step: 0.75,
-        layers: Layer::ALL.to_vec(),
+        layers: Method::Path.layers().to_vec(),
     }
 }
 
@@ -184,6 +185,7 @@ fn job_snapshots_survive() {
         units_done: 8,
         ended_by: Some(Limit::Time),
         mutations: Mutations { large: 9, large_accepted: 8, small: 7, small_accepted: 6 },
+        noise: Some(Noise { standard_error: 0.25, relative: f64::INFINITY }),
         ..JobStats::default()
     };
     let states = [
@@ -222,10 +224,16 @@ fn job_snapshots_survive() {
 #[test]
 fn limits_survive_and_senseless_ones_are_refused() {
     for time in [None, Some(Duration::from_millis(1)), Some(Duration::from_secs(86_400))] {
-        assert_eq!(Limits::try_from(wire::Limits::from(Limits { time })), Ok(Limits { time }));
+        for error in [None, Some(0.01)] {
+            let limits = Limits { time, error };
+            assert_eq!(Limits::try_from(wire::Limits::from(limits)), Ok(limits));
+        }
     }
     for bad in [0, u64::MAX] {
-        assert!(Limits::try_from(wire::Limits { time_ms: Some(bad) }).is_err());
+        assert!(Limits::try_from(wire::Limits { time_ms: Some(bad), error: None }).is_err());
+    }
+    for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        assert!(Limits::try_from(wire::Limits { time_ms: None, error: Some(bad) }).is_err());
     }
 }
 

@@ -1,6 +1,7 @@
 //! What an image file says about how it was made: everything that determines its pixels, and nothing that does not
 //! (no times, hosts or threads), so that equal jobs give equal files.
 
+use crate::film::Noise;
 use crate::photon::MapKind;
 use crate::settings::{CameraChoice, RenderSettings};
 
@@ -35,6 +36,10 @@ pub struct ImageMetadata {
     pub plan: Vec<String>,
     /// Samples and splats left out because they were not finite.
     pub non_finite: u64,
+    /// Camera samples of each pixel that the image is the mean of, where the method has no rounds of its own.
+    pub samples: Option<u32>,
+    /// Its noise, where it is known.
+    pub noise: Option<Noise>,
     /// Rounds the image is the mean of, where the method has rounds.
     pub rounds: Option<u32>,
     /// Units of the splat phase it is the mean of, where the method has one: Markov chains, or whole rounds.
@@ -53,6 +58,11 @@ impl ImageMetadata {
             ("settings".into(), settings_text(s)),
             ("non_finite".into(), self.non_finite.to_string()),
         ];
+        list.extend(self.samples.map(|n| ("samples".into(), n.to_string())));
+        if let Some(noise) = self.noise {
+            list.push(("standard_error".into(), noise.standard_error.to_string()));
+            list.push(("relative_standard_error".into(), noise.relative.to_string()));
+        }
         list.extend(self.rounds.map(|n| ("rounds".into(), n.to_string())));
         list.extend(self.units.map(|n| ("units".into(), n.to_string())));
         if !self.plan.is_empty() {

@@ -1,73 +1,142 @@
-//! The film in the making: tiles of all rounds and the light image become one film.
+//! The film in the making: the tiles and the light images of all rounds become one film, and its noise is known.
 
 use super::{ChannelSet, Film, LightImage, Tile, TileError, TileGrid};
 use crate::settings::Layer;
+use rayon::prelude::*;
 
-/// Collects the tiles of a job's rounds.
+/// Collects the tiles of a job's rounds, one round after the other.
 ///
-/// The tiles of one round may come in any order, but a tile of round r only after the same tile of round r − 1: sums are
-/// folded in round order, in f64. A job of one round keeps nothing beyond its film.
+/// The tiles of a round may come in any order. When all are there, the round is closed: its image, with what was splatted
+/// in it, is added to sums in f64, in round order. A job of one round keeps nothing beyond its film.
 #[derive(Clone, Debug)]
 pub struct Accumulator {
+    /// The round in the making.
     film: Film,
-    rounds: u32,
-    /// Rounds that each tile has.
-    filled: Vec<u32>,
-    /// Sums over rounds, in pixel and channel order; `None` for one round.
-    sums: Option<Vec<f64>>,
-    /// Σ x² of the colour over rounds, where the variance is asked for.
-    squares: Option<Vec<f64>>,
+    /// Camera samples a pixel of each round: its weight in the mean.
+    weights: Vec<u32>,
+    closed: u32,
+    /// Sums over the closed rounds; `None` for one round.
+    sums: Option<Sums>,
+    /// Sum of the light images, where they have more planes than the image itself.
+    light: Option<LightImage>,
+}
+
+/// Sums over rounds.
+#[derive(Clone, Debug)]
+struct Sums {
+    /// In pixel and channel order: Σ w x, but Σ w α x of layers that are means over hits, Σ (w − 1) x of variances, and Σ x of
+    /// counts.
+    values: Vec<f64>,
+    /// Σ w x² of the colour.
+    squares: Vec<f64>,
+}
+
+/// How far an image is from its expectation, by what its rounds differ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Root of the mean over pixels and channels of the variance of the mean, in radiance.
+    pub standard_error: f64,
+    /// The same divided by the image's mean; infinite for a black image with noise, 0 without.
+    pub relative: f64,
+}
+
+impl Noise {
+    /// From the mean squared standard error and the mean of an image.
+    pub fn new(mean_variance: f64, mean: f64) -> Self {
+        let standard_error = mean_variance.max(0.0).sqrt();
+        let relative = if standard_error == 0.0 { 0.0 } else { standard_error / mean.abs() };
+        Noise { standard_error, relative }
+    }
 }
 
 impl Accumulator {
-    /// Waits for `rounds` (≥ 1) tiles at each place.
-    pub fn new(grid: TileGrid, channels: ChannelSet, rounds: u32) -> Self {
+    /// Waits for the tiles of as many rounds (≥ 1) as there are `weights`.
+    pub fn new(grid: TileGrid, channels: ChannelSet, weights: Vec<u32>) -> Self {
         let film = Film::new(grid.width, grid.height, channels);
         let values = film.pixels.len();
-        let several = rounds > 1;
         let pixels = values / film.channels.len();
-        let squares = several && film.channels.offset(Layer::Variance).is_some();
-        Accumulator {
-            rounds,
-            filled: vec![0; grid.len() as usize],
-            sums: several.then(|| vec![0.0; values]),
-            squares: squares.then(|| vec![0.0; pixels * 3]),
-            film,
-        }
+        let sums = || Sums { values: vec![0.0; values], squares: vec![0.0; pixels * 3] };
+        Accumulator { sums: (weights.len() > 1).then(sums), weights, closed: 0, light: None, film }
     }
 
-    /// Adds a tile of `round`.
+    /// Adds a tile of the round in the making.
     ///
     /// # Errors
-    /// When there is no such tile, its size is wrong, or it is not the next round's there; nothing is then changed.
+    /// When there is no such tile, its size is wrong, it is there already, or it is of another round; nothing is then changed.
     pub fn insert(&mut self, round: u32, tile: &Tile) -> Result<(), TileError> {
-        let Some(&filled) = self.filled.get(tile.index as usize) else { return Err(TileError::Outside(tile.index)) };
-        if round != filled || round >= self.rounds {
+        if round != self.closed || round as usize >= self.weights.len() {
             return Err(TileError::Repeated(tile.index));
         }
-        match &mut self.sums {
-            None => self.film.insert(tile)?,
-            Some(sums) => {
-                let channels = &self.film.channels;
-                let rows = self.film.rows(tile)?;
-                for (at, line) in rows {
-                    add_row(&mut sums[at..at + line.len()], line, channels);
-                    if let Some(squares) = &mut self.squares {
-                        let n = channels.len();
-                        let colors = line.chunks_exact(n).flat_map(|p| &p[..3]);
-                        let places = squares[at / n * 3..].iter_mut();
-                        places.zip(colors).for_each(|(s, &v)| *s += f64::from(v) * f64::from(v));
-                    }
+        self.film.insert(tile)
+    }
+
+    /// Whether all tiles of the round in the making are there.
+    pub fn is_round_complete(&self) -> bool {
+        self.film.is_complete()
+    }
+    /// Rounds closed.
+    pub fn closed_rounds(&self) -> u32 {
+        self.closed
+    }
+    /// Camera samples a pixel of the closed rounds.
+    pub fn samples(&self) -> u64 {
+        self.weights.iter().take(self.closed as usize).map(|&w| u64::from(w)).sum()
+    }
+
+    /// Closes the round in the making, on the current rayon pool; `light` is what was splatted in it, the sum over its camera
+    /// samples.
+    pub fn close(&mut self, light: Option<&LightImage>) {
+        let Some(&weight) = self.weights.get(self.closed as usize) else { return };
+        if let Some(light) = light {
+            add_light(&mut self.film, light, 1.0 / f64::from(weight));
+            if light.planes() > 1 {
+                match &mut self.light {
+                    None => self.light = Some(light.clone()),
+                    // Of one job, so never mismatched.
+                    Some(sum) => drop(sum.add(light)),
                 }
             }
         }
-        self.filled[tile.index as usize] += 1;
-        Ok(())
+        self.closed += 1;
+        let Some(sums) = &mut self.sums else { return };
+        let (channels, n) = (&self.film.channels, self.film.channels.len());
+        let (row, width) = (self.film.grid.width as usize * n, self.film.grid.width as usize);
+        let lines = self.film.pixels.par_chunks(row).zip(sums.values.par_chunks_mut(row));
+        lines.zip(sums.squares.par_chunks_mut(width * 3)).for_each(|((line, sums), squares)| {
+            for ((pixel, sum), squares) in line.chunks_exact(n).zip(sums.chunks_exact_mut(n)).zip(squares.chunks_exact_mut(3))
+            {
+                add_pixel(sum, squares, pixel, f64::from(weight), channels);
+            }
+        });
+        self.film.empty();
     }
 
-    /// Rounds that every tile has.
-    pub fn complete_rounds(&self) -> u32 {
-        self.filled.iter().copied().min().unwrap_or(0)
+    /// The noise of the mean of the closed rounds; `None` for fewer than two.
+    ///
+    /// Rounds share their quasi-random sequences, so they differ by more than independent ones would: the noise is not
+    /// understated.
+    pub fn noise(&self) -> Option<Noise> {
+        let (sums, rounds) = (self.sums.as_ref()?, f64::from(self.closed));
+        let samples = self.samples() as f64;
+        let n = self.film.channels.len();
+        if self.closed < 2 {
+            return None;
+        }
+        // Rows are summed by themselves and then in order: the same bits for any number of threads.
+        let row = self.film.grid.width as usize;
+        let rows = sums.values.par_chunks(row * n).zip(sums.squares.par_chunks(row * 3));
+        let rows: Vec<[f64; 2]> = rows
+            .map(|(values, squares)| {
+                let pixels = values.chunks_exact(n).zip(squares.chunks_exact(3));
+                pixels.fold([0.0; 2], |[variances, total], (values, squares)| {
+                    let between: f64 = (0..3).map(|c| between(squares[c], values[c], samples)).sum();
+                    [variances + between / (rounds - 1.0) / samples, total + values[..3].iter().sum::<f64>() / samples]
+                })
+            })
+            .collect();
+        let [variances, total] = rows.iter().fold([0.0; 2], |sum, r| [sum[0] + r[0], sum[1] + r[1]]);
+        let values = (sums.squares.len() as f64).max(1.0);
+        Some(Noise::new(variances / values, total / values))
     }
 
     /// The film of whole rounds that came as a light image: colour in plane 0, alpha in plane 1 in its
@@ -95,19 +164,23 @@ impl Accumulator {
         self.film
     }
 
-    /// The film over the rounds done: the mean of the tiles, plus plane 0 of the light image times `light_scale`.
-    pub fn finish(mut self, light: Option<(&LightImage, f64)>) -> Film {
-        let rounds = self.complete_rounds();
-        if let Some(sums) = &self.sums {
+    /// The film over the closed rounds: their mean, weighted by their samples; and the layers of the light images.
+    pub fn finish(mut self) -> Film {
+        let (samples, rounds) = (self.samples() as f64, self.closed);
+        if let Some(sums) = self.sums.take() {
             let n = self.film.channels.len();
             let channels = self.film.channels.clone();
-            for (i, (pixel, sum)) in self.film.pixels.chunks_exact_mut(n).zip(sums.chunks_exact(n)).enumerate() {
-                let squares = self.squares.as_ref().map(|s| &s[i * 3..i * 3 + 3]);
-                mean_pixel(pixel, sum, squares, rounds, &channels);
-            }
+            let pixels = self.film.pixels.par_chunks_mut(n).zip(sums.values.par_chunks(n));
+            pixels.zip(sums.squares.par_chunks(3)).for_each(|((pixel, sum), squares)| {
+                mean_pixel(pixel, sum, squares, [samples, f64::from(rounds)], &channels);
+            });
         }
-        if let Some((image, scale)) = light {
-            add_light(&mut self.film, image, scale);
+        if let Some(light) = self.light.take() {
+            self.film.append(Layer::Strategies, |x, y, pixel| {
+                for plane in 1..light.planes() {
+                    pixel.extend(light.value(plane, x, y).map(|v| (v / samples) as f32));
+                }
+            });
         }
         self.film.fill();
         self.film
@@ -119,29 +192,39 @@ fn is_per_hit(layer: Layer) -> bool {
     matches!(layer, Layer::Albedo | Layer::Normal | Layer::Depth | Layer::Position)
 }
 
-fn add_row(sums: &mut [f64], line: &[f32], channels: &ChannelSet) {
-    let n = channels.len();
-    for (sum, pixel) in sums.chunks_exact_mut(n).zip(line.chunks_exact(n)) {
-        for (s, &v) in sum[..4].iter_mut().zip(pixel) {
-            *s += f64::from(v);
-        }
-        let mut at = 4;
-        for &layer in channels.layers() {
-            let end = at + layer.width();
+/// Σ w (x − m)² from Σ w x² and Σ w x, with Σ w = `samples`.
+fn between(squares: f64, values: f64, samples: f64) -> f64 {
+    (squares - values * values / samples).max(0.0)
+}
+
+fn add_pixel(sum: &mut [f64], squares: &mut [f64], pixel: &[f32], weight: f64, channels: &ChannelSet) {
+    for (s, &v) in sum[..4].iter_mut().zip(pixel) {
+        *s += weight * f64::from(v);
+    }
+    for (s, &v) in squares.iter_mut().zip(pixel) {
+        *s += weight * f64::from(v) * f64::from(v);
+    }
+    let mut at = 4;
+    for &layer in channels.layers() {
+        let end = at + layer.width();
+        let weight = match layer {
             // A pixel that hit nothing has an infinite depth, which counts nothing.
-            let weight = if is_per_hit(layer) { f64::from(pixel[3]) } else { 1.0 };
-            if weight > 0.0 {
-                sum[at..end].iter_mut().zip(&pixel[at..end]).for_each(|(s, &v)| *s += weight * f64::from(v));
-            }
-            at = end;
+            _ if is_per_hit(layer) => weight * f64::from(pixel[3]),
+            Layer::Variance => weight - 1.0,
+            Layer::Samples => 1.0,
+            _ => weight,
+        };
+        if weight > 0.0 {
+            sum[at..end].iter_mut().zip(&pixel[at..end]).for_each(|(s, &v)| *s += weight * f64::from(v));
         }
+        at = end;
     }
 }
 
-fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: Option<&[f64]>, rounds: u32, channels: &ChannelSet) {
-    let rounds = f64::from(rounds.max(1));
+fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: &[f64], [samples, rounds]: [f64; 2], channels: &ChannelSet) {
+    let samples = samples.max(1.0);
     for (p, s) in pixel[..4].iter_mut().zip(sum) {
-        *p = (s / rounds) as f32;
+        *p = (s / samples) as f32;
     }
     let mut at = 4;
     for &layer in channels.layers() {
@@ -150,14 +233,13 @@ fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: Option<&[f64]>, rounds: u
             *p = match layer {
                 Layer::Depth if sum[3] == 0.0 => f32::INFINITY,
                 _ if is_per_hit(layer) => (s / if sum[3] > 0.0 { sum[3] } else { 1.0 }) as f32,
-                // One sample a round: the variance of the samples is that of the rounds.
+                // Within rounds and between them (Chan et al. 1979).
                 Layer::Variance => {
-                    let mean = sum[c] / rounds;
-                    let second = squares.map_or(0.0, |q| q[c] / rounds);
-                    ((second - mean * mean).max(0.0) * rounds / (rounds - 1.0).max(1.0)) as f32
+                    let between = if rounds > 1.0 { between(squares[c], sum[c], samples) } else { 0.0 };
+                    ((s + between) / (samples - 1.0).max(1.0)) as f32
                 }
                 Layer::Samples => *s as f32,
-                _ => (s / rounds) as f32,
+                _ => (s / samples) as f32,
             };
         }
         at = end;
@@ -166,12 +248,12 @@ fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: Option<&[f64]>, rounds: u
 
 fn add_light(film: &mut Film, light: &LightImage, scale: f64) {
     let (width, n) = (film.grid.width, film.channels.len());
-    for (i, pixel) in film.pixels.chunks_exact_mut(n).enumerate() {
+    film.pixels.par_chunks_exact_mut(n).enumerate().for_each(|(i, pixel)| {
         let value = light.value(0, i as u32 % width, i as u32 / width);
         for (p, v) in pixel[..3].iter_mut().zip(value) {
             *p = (f64::from(*p) + v * scale) as f32;
         }
-    }
+    });
 }
 
 #[cfg(test)]
@@ -187,48 +269,79 @@ mod tests {
         Tile { index, pixels: (0..n).map(|i| value(i % channels.len())).collect(), non_finite: 0, rays: 0 }
     }
 
+    /// A round whose every pixel has these channels.
+    fn round(a: &mut Accumulator, number: u32, pixel: &[f32], light: Option<&LightImage>) {
+        let channels = a.film.channels.clone();
+        for t in [1, 0] {
+            assert!(!a.is_round_complete());
+            a.insert(number, &tile(t, &channels, |c| pixel[c])).unwrap();
+        }
+        assert!(a.is_round_complete());
+        a.close(light);
+    }
+
     #[test]
     fn rounds_are_averaged_and_hits_weigh() {
         let channels = ChannelSet::new(&[Layer::Depth, Layer::Variance, Layer::Samples]);
-        let mut a = Accumulator::new(GRID, channels.clone(), 2);
+        let mut a = Accumulator::new(GRID, channels, vec![1; 2]);
         // Colour 1 with a hit at depth 5, then colour 3 without one.
-        let first = [1.0, 1.0, 1.0, 1.0, 5.0, 0.0, 0.0, 0.0, 1.0];
-        let second = [3.0, 3.0, 3.0, 0.0, f32::INFINITY, 0.0, 0.0, 0.0, 1.0];
-        for t in [1, 0] {
-            a.insert(0, &tile(t, &channels, |c| first[c])).unwrap();
-        }
-        for t in [0, 1] {
-            a.insert(1, &tile(t, &channels, |c| second[c])).unwrap();
-        }
-        assert_eq!(a.complete_rounds(), 2);
-        let film = a.finish(None);
+        round(&mut a, 0, &[1.0, 1.0, 1.0, 1.0, 5.0, 0.0, 0.0, 0.0, 1.0], None);
+        assert_eq!(a.noise(), None);
+        round(&mut a, 1, &[3.0, 3.0, 3.0, 0.0, f32::INFINITY, 0.0, 0.0, 0.0, 1.0], None);
+        assert_eq!((a.closed_rounds(), a.samples()), (2, 2));
+        // The variance of two samples is 2, that of their mean 1.
+        assert_eq!(a.noise(), Some(Noise { standard_error: 1.0, relative: 0.5 }));
+        let film = a.finish();
         assert!(film.is_complete());
         assert_eq!(film.pixel(19, 4), [2.0, 2.0, 2.0, 0.5, 5.0, 2.0, 2.0, 2.0, 2.0]);
+    }
+
+    /// Samples 1, 2 | 3 | 4, 5, 9, folded by rounds, against all at once: mean 4, variance 8.
+    #[test]
+    fn rounds_of_several_samples_weigh_by_their_number() {
+        let channels = ChannelSet::new(&[Layer::Variance, Layer::Samples]);
+        let mut a = Accumulator::new(GRID, channels, vec![2, 1, 3]);
+        for (number, (mean, variance, n)) in [(1.5, 0.5, 2.0), (3.0, 0.0, 1.0), (6.0, 7.0, 3.0)].into_iter().enumerate() {
+            round(&mut a, number as u32, &[mean, mean, mean, 1.0, variance, variance, variance, n], None);
+        }
+        // Between the rounds: 2 · 2.5² + 1 + 3 · 2² = 25.5, over 2 degrees of freedom and 6 samples.
+        assert!((a.noise().unwrap().standard_error - (25.5f64 / 2.0 / 6.0).sqrt()).abs() < 1e-12);
+        assert_eq!(a.finish().pixel(0, 0), [4.0, 4.0, 4.0, 1.0, 8.0, 8.0, 8.0, 6.0]);
     }
 
     #[test]
     fn a_tile_out_of_turn_is_refused() {
         let channels = ChannelSet::new(&[]);
-        let mut a = Accumulator::new(GRID, channels.clone(), 2);
+        let mut a = Accumulator::new(GRID, channels.clone(), vec![1; 2]);
         let t = tile(0, &channels, |_| 1.0);
         assert_eq!(a.insert(1, &t), Err(TileError::Repeated(0)));
         a.insert(0, &t).unwrap();
         assert_eq!(a.insert(0, &t), Err(TileError::Repeated(0)));
+        a.insert(0, &tile(1, &channels, |_| 1.0)).unwrap();
+        a.close(None);
+        assert_eq!(a.insert(0, &t), Err(TileError::Repeated(0)));
         assert!(matches!(a.insert(1, &Tile { pixels: vec![], ..t.clone() }), Err(TileError::Size { .. })));
         a.insert(1, &t).unwrap();
+        a.insert(1, &tile(1, &channels, |_| 1.0)).unwrap();
+        a.close(None);
         assert_eq!(a.insert(2, &t), Err(TileError::Repeated(0)));
-        assert_eq!(a.insert(0, &Tile { index: 9, ..t }), Err(TileError::Outside(9)));
+        assert_eq!(a.insert(0, &Tile { index: 9, ..t }), Err(TileError::Repeated(9)));
     }
 
     #[test]
-    fn the_light_image_is_added_once_scaled() {
-        let channels = ChannelSet::new(&[]);
-        let mut a = Accumulator::new(GRID, channels.clone(), 1);
-        (0..2).for_each(|t| a.insert(0, &tile(t, &channels, |_| 1.0)).unwrap());
+    fn light_images_count_by_the_samples_of_their_round() {
         let mut light = LightImage::new(GRID, 1, 1.0);
         light.splat(0, 19, 4, Rgb::splat(8.0));
-        let film = a.finish(Some((&light, 0.25)));
+        let mut a = Accumulator::new(GRID, ChannelSet::new(&[]), vec![4]);
+        round(&mut a, 0, &[1.0; 4], Some(&light));
+        let film = a.finish();
         assert_eq!(film.pixel(19, 4), [3.0, 3.0, 3.0, 1.0]);
         assert_eq!(film.pixel(18, 4), [1.0; 4]);
+        let mut a = Accumulator::new(GRID, ChannelSet::new(&[]), vec![2, 2]);
+        round(&mut a, 0, &[1.0; 4], Some(&light));
+        round(&mut a, 1, &[1.0; 4], None);
+        // One pixel of 100 has 5 and 1: variance 4 of its mean.
+        assert!((a.noise().unwrap().standard_error - 0.2).abs() < 1e-12);
+        assert_eq!(a.finish().pixel(19, 4), [3.0, 3.0, 3.0, 1.0]);
     }
 }

@@ -8,7 +8,7 @@ pub mod light_image;
 pub mod strategies;
 pub mod tile;
 
-pub use accumulator::Accumulator;
+pub use accumulator::{Accumulator, Noise};
 pub use channels::ChannelSet;
 pub use image::Image;
 pub use light_image::LightImage;

@@ -134,6 +134,10 @@ impl Film {
         let place = move |y: usize| ((rect.y as usize + y) * width + rect.x as usize) * n;
         Ok(tile.pixels.chunks_exact(row).enumerate().map(move |(y, line)| (place(y), line)))
     }
+    /// Waits for all tiles anew.
+    pub(super) fn empty(&mut self) {
+        self.filled.fill(false);
+    }
     /// Counts every tile as there.
     pub(super) fn fill(&mut self) {
         self.filled.fill(true);

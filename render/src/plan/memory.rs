@@ -92,11 +92,14 @@ fn process(scene: &Scene) -> u64 {
     PROCESS_BYTES + triangles * SCENE_BYTES_PER_TRIANGLE + scene.textures.memory_bytes() as u64
 }
 
-/// The image while it is encoded.
+/// The image while it is encoded, or before that its sums over rounds.
 fn film(settings: &RenderSettings) -> u64 {
     let channels = ChannelSet::new(&settings.layers).len() as u64;
     let pixels = u64::from(settings.width) * u64::from(settings.height);
-    (FILM_COPIES * (pixels * channels * 4) as f64) as u64
+    let encoding = (FILM_COPIES * (pixels * channels * 4) as f64) as u64;
+    // The round in the making, and in f64 the sums of its channels and of the squares of its colour.
+    let summing = pixels * (4 * channels + 8 * channels + 8 * 3);
+    if settings.gather_rounds() > 1 { encoding.max(summing) } else { encoding }
 }
 
 #[cfg(test)]

@@ -39,12 +39,24 @@ impl World<'_> {
         let index = self.phases[job.0 as usize].iter().position(|p| *p == phase);
         self.assert_complete(job, index.unwrap_or_else(|| panic!("seed {}: {phase:?} is no phase", self.seed)));
         let digest = Digest([job.0 as u8; 32]);
+        let round = phase.round();
         let input = match phase {
-            Phase::Emission { map, .. } => InputRef::Map(MapRef { kind: map, digest, bytes: 1 }),
-            _ => InputRef::Bootstrap(BlobRef { digest, bytes: 1 }),
+            Phase::Emission { map, .. } => Some(InputRef::Map(MapRef { kind: map, digest, bytes: 1 })),
+            Phase::Bootstrap { .. } | Phase::Splat { .. } => Some(InputRef::Bootstrap(BlobRef { digest, bytes: 1 })),
+            Phase::Gather { .. } => None,
         };
         let number = self.next_entry;
-        self.to_scheduler.insert(number, Event::Built { job, round: phase.round(), input });
+        let event = match input {
+            Some(input) => Event::Built { job, round, input },
+            None => {
+                let closed = self.closed.entry(job).or_default();
+                assert_eq!(*closed, round, "seed {}: job {job} closes rounds out of order", self.seed);
+                *closed += 1;
+                let is_good_enough = self.conditions.good_after.is_some_and(|rounds| *closed >= rounds);
+                Event::Closed { job, round, is_good_enough }
+            }
+        };
+        self.to_scheduler.insert(number, event);
         let at = self.now + 200_000 + self.delay();
         self.plan(at, Due::Report(number));
     }
@@ -77,6 +89,9 @@ impl World<'_> {
         if done.ended_by.is_none() {
             assert_eq!(done.rounds, rounds, "seed {}: job {job}", self.seed);
             assert!(units.is_none_or(|(all, counted)| all == counted), "seed {}: job {job}, {units:?}", self.seed);
+        }
+        if let (Some(most), true) = (self.conditions.good_after, rounds > 1) {
+            assert!(done.rounds <= most, "seed {}: job {job} has {} rounds", self.seed, done.rounds);
         }
         assert!(done.rounds <= rounds && (done.rounds > 0 || units.is_some()), "seed {}: job {job}", self.seed);
         assert_eq!(done.units, units.map_or(0, |(_, counted)| counted), "seed {}: job {job}", self.seed);

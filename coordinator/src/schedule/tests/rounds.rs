@@ -5,7 +5,7 @@ use gatherlight_proto::message::BlobRef;
 use gatherlight_proto::types::Limit;
 
 const BOOTSTRAP: BlobRef = BlobRef { digest: Digest([4; 32]), bytes: 24 };
-const LIMIT: Limits = Limits { time: Some(Duration::from_secs(60)) };
+const LIMIT: Limits = Limits { time: Some(Duration::from_secs(60)), error: None };
 
 fn rounds(count: u32, paths: u64, tiles: u32) -> Vec<Phase> {
     let emission = |round| Phase::Emission { round, map: MapKind::Global, paths };
@@ -31,6 +31,16 @@ fn tiles(round: u32) -> Task {
 fn splat() -> Task {
     Task::Splat { bootstrap: Some(BOOTSTRAP) }
 }
+/// A round is closed: that it is to be, and that it has been.
+fn close(round: u32, tiles: u32) -> Command {
+    Command::Build { job: JOB, phase: Phase::Gather { round, tiles } }
+}
+fn closed(round: u32) -> Event {
+    Event::Closed { job: JOB, round, is_good_enough: false }
+}
+fn retire(round: u32) -> Command {
+    Command::Retire { job: JOB, round }
+}
 fn assemble(rounds: u32, units: u64, ended_by: Option<Limit>) -> Command {
     Command::Assemble { job: JOB, done: Done { rounds, units, ended_by } }
 }
@@ -47,18 +57,23 @@ fn the_photons_of_a_round_are_traced_while_the_tiles_of_the_one_before_are_finis
     assert_eq!(b.event(built(1, map(1))), []);
     let both = [give(A, 3, range(0, 1), tiles(0)), give(B, 4, range(1, 2), tiles(0))];
     assert_eq!(b.event(built(0, map(0))), both);
-    // B is done with what is left of round 0, and round 1's tiles wait for A's: a tile's rounds are summed in order.
-    assert_eq!(b.complete(B, 4), [accept(4)]);
-    let next = [give(A, 5, range(0, 1), tiles(1)), give(B, 6, range(1, 2), tiles(1))];
-    assert_eq!(b.complete(A, 3), [&[accept(3), Command::Retire { job: JOB, round: 0 }], &next[..]].concat());
-    // Now round 2 is in the window.
-    assert_eq!(b.complete(B, 6), [accept(6), give(B, 7, range(0, 10), emission(2))]);
-    assert_eq!(b.complete(A, 5), [accept(5), Command::Retire { job: JOB, round: 1 }]);
-    assert_eq!(b.complete(B, 7), [accept(7), build(2, MapKind::Global, 10)]);
+    // Nothing of round 0 is left to hand out, so B goes on with round 1's tiles.
+    assert_eq!(b.complete(B, 4), [accept(4), give(B, 5, range(0, 1), tiles(1))]);
+    // Round 0 is whole, and closed; round 2 comes into the window when that is done.
+    assert_eq!(b.complete(A, 3), [accept(3), close(0, 2), give(A, 6, range(1, 2), tiles(1))]);
+    // Round 1 may be whole before round 0 is closed, but is closed after it.
+    assert_eq!(b.complete(B, 5), [accept(5)]);
+    assert_eq!(b.complete(A, 6), [accept(6)]);
+    let next = [retire(0), close(1, 2), give(A, 7, range(0, 10), emission(2))];
+    assert_eq!(b.event(closed(0)), next);
+    assert_eq!(b.event(closed(0)), []);
+    assert_eq!(b.event(closed(1)), [retire(1)]);
+    assert_eq!(b.complete(A, 7), [accept(7), build(2, MapKind::Global, 10)]);
     assert_eq!(b.event(built(1, map(1))), []);
     assert_eq!(b.event(built(2, map(2)))[..1], [give(A, 8, range(0, 1), tiles(2))]);
     assert_eq!(b.complete(B, 9), [accept(9)]);
-    assert_eq!(b.complete(A, 8), [accept(8), assemble(3, 0, None)]);
+    assert_eq!(b.complete(A, 8), [accept(8), close(2, 2)]);
+    assert_eq!(b.event(closed(2)), [assemble(3, 0, None)]);
     assert_eq!(b.event(Event::Assembled { job: JOB }).last(), Some(&finish(Outcome::Done)));
 }
 
@@ -92,7 +107,8 @@ fn a_time_limit_ends_a_job_between_two_rounds() {
     assert_eq!(b.event(Event::Tick), []);
     let total = |b: &Bench| b.scheduler.job(JOB).map(|j| j.total(Kind::Emission(MapKind::Global)).units);
     assert_eq!(total(&b), Some(20));
-    assert_eq!(b.complete(A, 3), [accept(3), assemble(1, 0, Some(Limit::Time))]);
+    assert_eq!(b.complete(A, 3), [accept(3), close(0, 1)]);
+    assert_eq!(b.event(closed(0)).last(), Some(&assemble(1, 0, Some(Limit::Time))));
     // What was done of round 1 is no part of the image.
     assert_eq!(total(&b), Some(10));
     assert_eq!(b.event(built(1, map(1))), []);
@@ -111,9 +127,48 @@ fn what_is_out_when_a_limit_ends_the_job_is_revoked() {
     b.now = seconds(60);
     let revoked = Command::Revoke { worker: A, lease: LeaseId(13) };
     assert_eq!(b.scheduler.lease(LeaseId(13)).map(|l| l.lease.task.clone()), Some(emission(1)));
-    assert_eq!(b.complete(B, 12), [accept(12), revoked, assemble(1, 0, Some(Limit::Time))]);
+    // B gets nothing of a round that will be cut off.
+    assert_eq!(b.complete(B, 12), [accept(12), close(0, 1)]);
+    assert_eq!(b.event(closed(0)), [revoked, assemble(1, 0, Some(Limit::Time))]);
     assert_eq!(b.scheduler.leases().count(), 0);
     assert!(b.scheduler.workers()[&A].leases.is_empty());
+}
+
+#[test]
+fn an_image_that_is_good_enough_ends_its_job_with_the_rounds_that_are_closed() {
+    let mut b = submit(policy(), rounds(9, 10, 1), Limits::default());
+    b.join(A);
+    b.join(B);
+    b.complete(A, 1);
+    b.event(built(0, map(0)));
+    b.complete(B, 2);
+    b.event(built(1, map(1)));
+    // B renders round 1's tile while A's of round 0 comes back and the round is closed.
+    assert_eq!(b.scheduler.lease(LeaseId(4)).map(|l| l.lease.task.clone()), Some(tiles(1)));
+    assert_eq!(b.complete(A, 3)[..2], [accept(3), close(0, 1)]);
+    let good = Event::Closed { job: JOB, round: 0, is_good_enough: true };
+    let said = b.event(good.clone());
+    assert_eq!(said[..], [Command::Revoke { worker: B, lease: LeaseId(4) }, assemble(1, 0, Some(Limit::Error))]);
+    assert_eq!(b.event(good), []);
+}
+
+#[test]
+fn passes_over_the_pixels_all_read_the_maps_of_the_first_round() {
+    let mut phases = rounds(1, 10, 1);
+    phases.extend((1..4).map(|round| Phase::Gather { round, tiles: 1 }));
+    let mut b = submit(policy(), phases, Limits::default());
+    b.join(A);
+    b.complete(A, 1);
+    let pass = |id, round| give(A, id, range(0, 1), Task::Gather { round, maps: vec![map(0)] });
+    assert_eq!(b.event(built(0, map(0))), [pass(2, 0)]);
+    for round in 0..3 {
+        let id = u64::from(round) + 2;
+        // The next pass begins while this round is closed; the map stays.
+        assert_eq!(b.complete(A, id), [accept(id), close(round, 1), pass(id + 1, round + 1)]);
+        assert_eq!(b.event(closed(round)), []);
+    }
+    assert_eq!(b.complete(A, 5), [accept(5), close(3, 1)]);
+    assert_eq!(b.event(closed(3)), [assemble(4, 0, None)]);
 }
 
 #[test]
@@ -209,6 +264,7 @@ fn a_round_begins_with_the_rates_and_the_photons_per_path_of_the_one_before() {
         let (lease, attempt, range) = (open.id, open.attempt, open.range);
         b.event(Event::Completed { worker: A, lease, attempt, range, busy, stored: range.len() });
         b.event(built(0, map(0)));
+        b.event(closed(0));
     }
     assert_eq!(units.first(), Some(&(emission(0), policy.probe_paths)));
     assert_eq!(units.last(), Some(&(emission(1), 1_000_000)));
@@ -222,13 +278,14 @@ fn what_a_round_costs_does_not_depend_on_how_many_there_are() {
     let mut b = submit(policy(), (0..count).flat_map(all).collect(), Limits::default());
     b.join(A);
     let mut widest = 0;
-    let mut waiting = vec![];
+    let mut waiting: Vec<Command> = vec![];
     loop {
         let next = b.scheduler.leases().next().map(|l| l.lease.id.0);
         let said = match (next, waiting.pop()) {
             (_, Some(Command::Build { phase: Phase::Emission { round, map: kind, .. }, .. })) => {
                 b.event(built(round, MapRef { kind, ..map(round) }))
             }
+            (_, Some(Command::Build { phase: Phase::Gather { round, .. }, .. })) => b.event(closed(round)),
             (Some(id), _) => b.complete(A, id),
             (None, _) => break,
         };
