@@ -1,4 +1,8 @@
-//! What a finished job says about itself: the attributes of its image and the summary a person or a script reads.
+//! What a finished job says about itself: the attributes of its image, the summary a person or a script reads, and the report
+//! beside the image.
+
+pub mod html;
+pub mod timeline;
 
 use crate::types::{JobStats, MapStats};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
@@ -9,6 +13,7 @@ use gatherlight_render::settings::{Method, RenderSettings, Setting};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
+use timeline::Timeline;
 
 /// What is known of a job's image before it is finished.
 #[derive(Clone, Debug)]
@@ -121,7 +126,7 @@ impl Summary {
             ));
         }
         if let Some(n) = t.noise {
-            text.push_str(&format!(" · standard error {:.2} % of the mean", 100.0 * n.relative));
+            text.push_str(&format!(" · relative standard error {:.2} %", 100.0 * n.relative));
         }
         if t.non_finite > 0 {
             text.push_str(&format!(" · {} samples were not finite and left out", grouped(t.non_finite)));
@@ -164,6 +169,41 @@ impl Summary {
             "stats": stats_json(t),
         })
     }
+}
+
+/// All that is known of a job at its end, for the files beside its image.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// What is printed.
+    pub summary: Summary,
+    /// Its course.
+    pub timeline: Timeline,
+    /// Lines of the plan.
+    pub plan: Vec<String>,
+    /// What a user should know.
+    pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// For scripts; units are the last part of a name.
+    pub fn json(&self) -> Value {
+        json!({
+            "gatherlight": env!("CARGO_PKG_VERSION"),
+            "text": self.summary.text(),
+            "summary": self.summary.json(),
+            "timeline": self.timeline.json(),
+            "plan": self.plan,
+            "warnings": self.warnings,
+            "peak_memory_bytes": peak_memory(),
+        })
+    }
+}
+
+/// The most memory that this process ever held, where the system tells.
+fn peak_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kib = text.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
+    kib.map(|k| k * 1024)
 }
 
 /// Camera samples of each pixel: one a round, where there are rounds; Markov chains have none of their own.

@@ -67,7 +67,7 @@ fn the_file_has_the_same_bytes_for_any_number_of_threads_and_every_run() {
 fn a_png_comes_with_its_exr_and_old_files_are_replaced() {
     let dir = triangle_dir();
     std::fs::write(dir.path().join("x.exr"), "old").unwrap();
-    let run = run(dir.path(), &format!("render triangle.gltf -o x.png {QUICK}"));
+    let run = run(dir.path(), &format!("render triangle.gltf -o x.png {QUICK} --no-report"));
     run.says(0, &[]);
     assert!(run.out.contains("x.exr, x.png"), "{run:?}");
     assert_eq!(files(dir.path()), ["the triangle.bin", "triangle.gltf", "x.exr", "x.png"]);
@@ -101,12 +101,69 @@ fn no_photons_at_all_is_a_valid_request() {
     assert!(image(&dir.path().join("x.exr")).rgb().unwrap().iter().all(|p| p.is_finite()));
 }
 
+/// Of two samples the noise is known, of one it is not.
 #[test]
-fn noise_is_stated_where_the_layers_carry_it() {
+fn noise_is_stated_where_there_is_something_to_compare() {
     let dir = triangle_dir();
-    let args = format!("render triangle.gltf -o x.exr {QUICK} --layers variance,samples");
-    let text = run(dir.path(), &args);
-    assert!(text.out.contains("standard error") && text.out.contains("of the mean"), "{text:?}");
+    let text = run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK}"));
+    assert!(text.out.contains("relative standard error"), "{text:?}");
+    let stated = image(&dir.path().join("x.exr")).attributes["gatherlight:relative_standard_error"].clone();
+    assert!(stated.parse::<f64>().is_ok_and(|e| e > 0.0), "{stated}");
+    let one = run(dir.path(), "render triangle.gltf -o x.exr --height 16 --samples 1 --photons 2k --caustic-photons 2k");
+    assert!(one.code == 0 && !one.out.contains("standard error"), "{one:?}");
+}
+
+#[test]
+fn a_report_is_written_beside_the_image() {
+    let dir = triangle_dir();
+    let args = "render triangle.gltf -o x.exr --height 16 --samples 32 --photons 2k --caustic-photons 2k";
+    run(dir.path(), args).says(0, &[]);
+    let names = ["the triangle.bin", "triangle.gltf", "x.exr", "x.report.html", "x.report.json"];
+    assert_eq!(files(dir.path()), names);
+    let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&read("x.report.json")).unwrap();
+    let (timeline, stats) = (&report["timeline"], &report["summary"]["stats"]);
+    assert_eq!(report["summary"]["files"][0], "x.exr");
+    assert!(report["plan"].as_array().unwrap().iter().any(|l| l.as_str().unwrap().contains("global photon map")));
+    assert!(stats["rays"].as_u64().unwrap() > 0 && report["peak_memory_bytes"].as_u64().is_none_or(|b| b > 1 << 20));
+    // The last error is the image's.
+    let last = &timeline["error"].as_array().unwrap().last().unwrap()["relative_standard_error"];
+    assert_eq!(*last, report["summary"]["relative_standard_error"]);
+    assert!(timeline["phases"].as_array().unwrap().iter().any(|p| p["phase"] == "gather"), "{timeline}");
+    let page = read("x.report.html");
+    assert!(page.starts_with("<!DOCTYPE html>") && page.contains("global photon map") && !page.contains("http"));
+}
+
+#[test]
+fn progress_is_a_stream_of_events_for_scripts() {
+    let dir = triangle_dir();
+    let run = run(dir.path(), &format!("render triangle.gltf -o x.exr {QUICK} --progress json"));
+    run.says(0, &[]);
+    let events: Vec<serde_json::Value> = run.out.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let (last, progress) = events.split_last().unwrap();
+    assert_eq!((&last["event"], &last["result"]["files"][0]), (&"end".into(), &"x.exr".into()));
+    assert!(!progress.is_empty() && progress.iter().all(|e| e["event"] == "progress"));
+    assert!(progress.iter().all(|e| e["job"]["elapsed_s"].is_number() && e["job"]["state"].is_string()));
+    assert_eq!(run.err, "");
+}
+
+#[test]
+fn a_target_error_ends_a_job_or_is_refused() {
+    let dir = triangle_dir();
+    let render = |more: &str| run(dir.path(), &format!("render triangle.gltf -o x.exr --height 16 {more}"));
+    let ended = render("--samples 64 --photons 2k --caustic-photons 2k --target-error 500%");
+    ended.says(0, &[]);
+    assert!(ended.out.contains("ended by the error limit: the image is the mean of 8 of 64 samples"), "{ended:?}");
+    assert_eq!(image(&dir.path().join("x.exr")).attributes["gatherlight:samples"], "8");
+    for (more, message) in [
+        ("--method path --samples 1 --target-error 1%", "--target-error needs rounds to know the error by"),
+        ("--method mlt --target-error 1%", "another method than mlt"),
+        ("--target-error 0", "is no error above 0"),
+        ("--target-error x%", "is no error above 0"),
+    ] {
+        let refused = render(more);
+        assert!(refused.code == 2 && refused.err.contains(message), "{more}: {refused:?}");
+    }
 }
 
 #[cfg(target_os = "linux")]

@@ -220,7 +220,7 @@ impl PreparedJob {
         match splats {
             Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
             Some(light) if self.settings.method == Method::Mlt => {
-                let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units));
+                let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units, light.mutations()));
                 film.finish_opaque(light, scale)
             }
             _ => film.finish(),

@@ -5,10 +5,10 @@
 //! time, and what those rounds compute is rendered and held against a reference image.
 //!
 //! The model. Every worker and the coordinator have one core and one link to the same switch; the coordinator sends each worker
-//! its own copy of a map, as it does today. Memory bounds a worker's round to the same number of photons either way, which
-//! is what makes a shared map denser: with p workers it has p times the photons, for one gather pass.
+//! its own copy of a map, as it does today.
 //! *Shared*: emission, upload, merge, broadcast and gather of successive rounds overlap (the scheduler's window), so that
 //! a round takes as long as its slowest resource, and the first one the sum of all steps.
+//! *Dense*: the same, with as many times the photons a round as there are workers, which is what their memory together holds.
 //! *Independent*: each worker computes whole rounds, and one light image from each is sent at the end.
 //!
 //! `cargo bench -p gatherlight-tests --bench merging [-- SECONDS]`: seconds of each job, default 4.
@@ -28,8 +28,8 @@ const SCENES: [&str; 2] = ["cornell-caustic", "pool"];
 const WORKERS: [u64; 4] = [1, 2, 4, 8];
 /// Photon paths of each map that one worker's memory holds, in the model.
 const PATHS: u64 = 100_000;
-/// Links, in bytes a second, with their names.
-const LINKS: [(&str, f64); 3] = [("100 Mbit/s", 12.5e6), ("1 Gbit/s", 125e6), ("10 Gbit/s", 1.25e9)];
+/// Bytes a second of each link: 1 Gbit/s.
+const LINK: f64 = 125e6;
 /// Rounds that are timed.
 const TIMED: u32 = 3;
 
@@ -44,9 +44,8 @@ struct Costs {
     result_bytes: f64,
 }
 
-fn settings(name: &str, method: Method, merge: Merge, workers: u64, rounds: u32) -> RenderSettings {
+fn settings(name: &str, method: Method, merge: Merge, denser: u64, rounds: u32) -> RenderSettings {
     let (width, height, _) = image(name);
-    let denser = if merge == Merge::Shared { workers } else { 1 };
     let paths = match method {
         // A light path for each pixel.
         Method::Vcm => u64::from(width * height),
@@ -114,19 +113,19 @@ fn costs(job: &PreparedJob) -> Costs {
 }
 
 /// Rounds with shared maps that end within `seconds`.
-fn shared_rounds(c: &Costs, workers: u64, link: f64, seconds: f64) -> u32 {
+fn shared_rounds(c: &Costs, workers: u64, seconds: f64) -> u32 {
     let p = workers as f64;
-    let (work, upload) = ((c.emission + c.gather) / p, (c.photon_bytes + c.result_bytes) / link);
-    let broadcast = c.map_bytes * p / link;
+    let (work, upload) = ((c.emission + c.gather) / p, (c.photon_bytes + c.result_bytes) / LINK);
+    let broadcast = c.map_bytes * p / LINK;
     let first = work + upload + c.build + broadcast;
     let each = work.max(upload).max(c.build).max(broadcast);
     (1.0 + (seconds - first) / each).max(1.0) as u32
 }
 
 /// Independent rounds that end within `seconds`; `image_bytes` is what each worker sends at the end.
-fn independent_rounds(c: &Costs, workers: u64, image_bytes: f64, link: f64, seconds: f64) -> u32 {
+fn independent_rounds(c: &Costs, workers: u64, image_bytes: f64, seconds: f64) -> u32 {
     let round = c.emission + c.build + c.gather;
-    let computing = seconds - image_bytes * workers as f64 / link;
+    let computing = seconds - image_bytes * workers as f64 / LINK;
     ((computing / round) as u64 * workers).max(workers) as u32
 }
 
@@ -147,34 +146,32 @@ fn main() {
         return;
     }
     let seconds = std::env::args().filter_map(|a| a.parse().ok()).next().unwrap_or(4.0);
-    println!("{seconds} s a job; relMSE (rounds)\n");
-    println!("| scene | method | workers | {} | independent |", LINKS.map(|(n, _)| format!("shared, {n}")).join(" | "));
-    println!("|---|---|---|{}---|", "---|".repeat(LINKS.len()));
+    println!("{seconds} s a job, links of 1 Gbit/s; relMSE (rounds)\n");
+    println!("| scene | method | workers | shared | dense | independent |");
+    println!("|---|---|---|---|---|---|");
     for name in SCENES {
         for method in [Method::Progressive, Method::Vcm] {
-            let base = prepare(name, &settings(name, method, Merge::Shared, 1, TIMED));
+            let job = |merge, denser, rounds| prepare(name, &settings(name, method, merge, denser, rounds));
+            let base = job(Merge::Shared, 1, TIMED);
             let one = on_one_thread(|| costs(&base));
-            let alone = prepare(name, &settings(name, method, Merge::Independent, 1, 1));
+            let alone = job(Merge::Independent, 1, 1);
             let mut light = alone.light_image().expect("independent rounds have one");
             alone.splat(&Inputs::default(), EmissionRange { first: 0, end: 1 }, &mut light);
             let image_bytes = payload::light::encode(&light).len() as f64;
             for workers in WORKERS {
-                let job = |merge, rounds| prepare(name, &settings(name, method, merge, workers, rounds));
-                let dense = job(Merge::Shared, TIMED);
-                let c = if workers == 1 { one } else { on_one_thread(|| costs(&dense)) };
-                // Links that make no difference are rendered once.
-                let mut known: Vec<(u32, f64)> = Vec::new();
-                let shared = LINKS.map(|(_, link)| {
-                    let rounds = shared_rounds(&c, workers, link, seconds);
-                    let found = known.iter().find(|k| k.0 == rounds).map(|k| k.1);
-                    let e = found.unwrap_or_else(|| error(name, &job(Merge::Shared, rounds)));
-                    known.push((rounds, e));
-                    format!("{e:.2e} ({rounds})")
-                });
-                let rounds = independent_rounds(&one, workers, image_bytes, LINKS[1].1, seconds);
-                let alone = error(name, &job(Merge::Independent, rounds));
-                let method = method.name();
-                println!("| {name} | {method} | {workers} | {} | {alone:.2e} ({rounds}) |", shared.join(" | "));
+                let cell = |job: &PreparedJob, rounds: u32| format!("{:.2e} ({rounds})", error(name, job));
+                let rounds = shared_rounds(&one, workers, seconds);
+                let shared = cell(&job(Merge::Shared, 1, rounds), rounds);
+                let dense = if workers == 1 {
+                    "the same".into()
+                } else {
+                    let c = job(Merge::Shared, workers, TIMED);
+                    let rounds = shared_rounds(&on_one_thread(|| costs(&c)), workers, seconds);
+                    cell(&job(Merge::Shared, workers, rounds), rounds)
+                };
+                let rounds = independent_rounds(&one, workers, image_bytes, seconds);
+                let alone = cell(&job(Merge::Independent, 1, rounds), rounds);
+                println!("| {name} | {} | {workers} | {shared} | {dense} | {alone} |", method.name());
             }
         }
     }

@@ -68,7 +68,7 @@ def run_timed(command):
 
 
 def errors(image, reference):
-    c = error.compare(exr.read(image), reference)
+    c = error.compare(image, reference)
     return c["relMSE"], c["relMSE_trim999"], c["bias_ratio"] - 1
 
 
@@ -102,7 +102,7 @@ def gatherlight(a, scene, name, options, reference, work):
             if abs(known[-1][1] / budget - 1) < 0.1 or n == known[-1][0]:
                 break
             render(n)
-        points.append((known[-1][1], *errors(out, reference)))
+        points.append((known[-1][1], *errors(exr.read(out), reference)))
     return points
 
 
@@ -118,7 +118,12 @@ def peer(a, command, reference, work):
         raise RuntimeError(said[-1] if said else "no output")
     for line in lines:
         print(json.dumps(line), file=sys.stderr, flush=True)
-    return [(line["cpu_s"], *errors(os.path.join(work, line["out"]), reference)) for line in lines]
+    points = []
+    for line in lines:
+        image = exr.read(os.path.join(work, line["out"]))
+        # LuxCore makes its photon cache first: nothing to compare before.
+        points.append((line["cpu_s"], *(errors(image, reference) if image.any() else (math.inf, math.inf, math.nan))))
+    return points
 
 
 def time_to(points, target):
@@ -128,6 +133,8 @@ def time_to(points, target):
         return f"< {points[0][0]:.1f}"
     for (t0, e0), (t1, e1) in zip(points, points[1:]):
         if e1 <= target:
+            if math.isinf(e0):
+                return f"< {t1:.1f}"
             share = math.log(e0 / target) / math.log(e0 / e1)
             return f"{t0 * (t1 / t0) ** share:.1f}"
     return f"> {points[-1][0]:.0f}"
@@ -147,9 +154,10 @@ def table(a, scene, rows):
         if isinstance(points, str):
             cells = [points] + [""] * (len(heads) - 2)
         else:
-            cells = [f"{e:.1e} ({trimmed:.1e})" + (f" in {t:.1f} s" if abs(t / b - 1) > 0.1 else "")
+            cells = ["no image yet" if math.isinf(e) else
+                     f"{e:.1e} ({trimmed:.1e})" + (f" in {t:.1f} s" if abs(t / b - 1) > 0.1 else "")
                      for b, (t, e, trimmed, _) in zip(a.budgets, points)]
-            cells += [f"{100 * points[-1][3]:+.2f} %"] + [time_to(points, t) for t in targets]
+            cells += ["" if math.isinf(points[-1][1]) else f"{100 * points[-1][3]:+.2f} %"] + [time_to(points, t) for t in targets]
         lines.append(f"| {' | '.join([name] + cells)} |")
     return "\n".join(lines) + "\n"
 

@@ -141,6 +141,8 @@ def main():
     ap.add_argument("--radius", type=float, default=0.02, help="first radius of photongi")
     a = ap.parse_args()
     pyluxcore.Init(lambda message: None)
+    if a.method == "photongi" and not any(m.kind in ("glass", "metal") for m in gltf_scene.load(a.scene).materials):
+        raise SystemExit("nothing here casts caustics, the cache would search for them without end")
     scene, aspect = scene_of(a.scene, a.res)
     props, w, h = config_of(a, aspect)
     session = pyluxcore.RenderSession(pyluxcore.RenderConfig(props, scene))
@@ -160,8 +162,9 @@ def main():
         print(json.dumps(dict(peer=f"luxcore-{pyluxcore.Version()}", method=a.method, scene=os.path.basename(a.scene),
                               out=os.path.basename(out), res=[w, h], spp=spp, threads=a.threads,
                               wall_s=round(time.time() - wall, 3), cpu_s=round(used, 3))), flush=True)
+    # LuxCore 2.11 crashes when it is taken down; the images are written.
     sys.stdout.flush()
-    session.Stop()
+    os._exit(0)
 
 
 if __name__ == "__main__":

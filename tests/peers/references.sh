@@ -6,13 +6,13 @@ cd "$(dirname "$0")/../.."
 python=${PYTHON:-python3} gatherlight=${GATHERLIGHT:-target/release/gatherlight} threads=${THREADS:-2}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# CPU seconds of each half.
+# CPU seconds of each half, of Mitsuba.
 declare -A seconds=([rough-gold-ring]=40 [hidden-lamp]=30 [glossy-plates]=40 [door-ajar]=100)
 for scene in "${@:-rough-gold-ring hidden-lamp glossy-plates door-ajar pool}"; do
     for name in $scene; do
         for half in 1 2; do
             if [ "$name" = pool ]; then
-                # No path of its light can be connected: progressive photon mapping, by rounds.
+                # No path of its light can be connected: progressive photon mapping, by rounds; 140 CPU seconds.
                 "$gatherlight" render scenes/pool.glb --method progressive --height 96 --rounds 600 --photons 12M \
                     --caustic-photons 60M --threads "$threads" --seed "$half" -o "$work/$half.exr" --quiet
             else

@@ -5,12 +5,17 @@ use gatherlight_render::scene::description::{LightKind, MaterialDescription, Sce
 use gatherlight_render::settings::{Layer, Method, RenderSettings};
 use gatherlight_tests::fixtures::{SceneMaker, cuboid, enclosure, quad, sphere};
 use gatherlight_tests::single::{color, mean, render_description};
+use gatherlight_tests::welch::Mean;
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
-/// Of methods with rounds, as many rounds as samples, each with a light path, and a radius too small to blur anything.
+/// Of methods with rounds, as many rounds as samples, each with a light path, and a radius too small to blur anything. Of Metropolis
+/// light transport, whose brightness is the bootstrap's, as many bootstrap paths as cost about the same.
 fn settings(method: Method, side: u32, samples: u32) -> RenderSettings {
     let base = RenderSettings { method, width: side, height: side, samples, ..Default::default() };
+    if method == Method::Mlt {
+        return RenderSettings { mutations: 1, chains: 8, bootstrap: 16 * u64::from(samples), ..base };
+    }
     if !method.has_rounds() {
         return base;
     }
@@ -18,10 +23,9 @@ fn settings(method: Method, side: u32, samples: u32) -> RenderSettings {
     RenderSettings { rounds: samples, photons, caustic_photons: photons, max_radius: Some(0.01), ..base }
 }
 
-/// All methods whose pixels are means of samples. Metropolis light transport, whose brightness comes from elsewhere, has
-/// tests of its own.
-fn by_samples() -> impl Iterator<Item = Method> {
-    Method::ALL.into_iter().filter(|&m| m != Method::Mlt)
+/// Whether the standard error is told by independent seeds: of methods that have rounds, splats or chains.
+fn needs_seeds(method: Method) -> bool {
+    method.has_rounds() || !method.layers().contains(&Layer::Variance)
 }
 
 fn assert_close(what: &str, got: f64, expected: f64, tolerance: f64) {
@@ -56,6 +60,19 @@ fn enclosure_by_unbiased_methods() {
     }
 }
 
+/// A chain lands all over the image: the mean of the image is that of the bootstrap.
+#[test]
+fn enclosure_by_metropolis_light_transport() {
+    for albedo in [0.5f32, 0.9] {
+        let scene = enclosure(albedo, 0.25);
+        let film = |seed| render_description(scene.clone(), &RenderSettings { seed, ..settings(Method::Mlt, 24, 4096) });
+        let m = Mean::of((0..16).map(|seed| mean(&film(seed))[1]));
+        let expected = 0.25 / (1.0 - f64::from(albedo));
+        assert!((m.value - expected).abs() < 5.0 * m.sigma(), "{albedo}: {} ± {}, not {expected}", m.value, m.sigma());
+        assert!(m.sigma() / expected < 0.01, "the test is too noisy to see anything: {}", m.sigma());
+    }
+}
+
 /// Photon mapping loses light within a gather radius of the box's edges (a quarter of the disc hangs over), so the mean
 /// may lie below by the share of area within half a radius of an edge, and not above.
 #[test]
@@ -76,9 +93,10 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> (f64, f64)
     light(&mut s);
     // A narrow view of the origin from the side, under the lamp.
     s.camera(DVec3::new(0.7, 0.5, 0.0), DVec3::ZERO, 0.002);
-    if method.has_rounds() || !method.layers().contains(&Layer::Variance) {
+    if needs_seeds(method) {
         let samples = if method.has_rounds() { 512 } else { 4096 };
-        return from_seeds(&s.scene, &settings(method, 1, samples));
+        let green = from_seeds(&s.scene, &settings(method, 1, samples))[1];
+        return (green.value, green.sigma());
     }
     let layers = vec![Layer::Variance];
     let film = render_description(s.scene, &RenderSettings { photons: 20_000, layers, ..settings(method, 1, 65_536) });
@@ -86,23 +104,19 @@ fn radiance_under(light: impl Fn(&mut SceneMaker), method: Method) -> (f64, f64)
     (f64::from(pixel[1]), (f64::from(pixel[5]) / 65_536.0).sqrt())
 }
 
-/// Green of the first pixel and its standard error, over 24 seeds.
-fn from_seeds(scene: &SceneDescription, settings: &RenderSettings) -> (f64, f64) {
-    let n = 24;
-    let values: Vec<f64> = (0..n)
-        .map(|seed| {
-            f64::from(render_description(scene.clone(), &RenderSettings { seed, ..settings.clone() }).pixel(0, 0)[1])
-        })
-        .collect();
-    let n = n as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    (mean, (variance / n).sqrt())
+/// The channels of the first pixel, over 24 seeds.
+fn from_seeds(scene: &SceneDescription, settings: &RenderSettings) -> [Mean; 3] {
+    let pixel = |seed| {
+        let film = render_description(scene.clone(), &RenderSettings { seed, ..settings.clone() });
+        [0, 1, 2].map(|c| f64::from(film.pixel(0, 0)[c]))
+    };
+    let pixels: Vec<[f64; 3]> = (0..24).map(pixel).collect();
+    [0, 1, 2].map(|c| Mean::of(pixels.iter().map(|p| p[c])))
 }
 
 /// Four standard errors, and 3e-4 for the pixel's width and a sphere's tessellation.
 fn check_light(name: &str, irradiance: f64, light: impl Fn(&mut SceneMaker)) {
-    for method in by_samples() {
+    for method in Method::ALL {
         let (got, error) = radiance_under(&light, method);
         let expected = 0.5 / PI * irradiance;
         assert!(
@@ -179,13 +193,18 @@ fn transmission_of_a_glass_slab() {
         s.mesh(cuboid(Vec3::new(-1.0, -1.0, -0.2), Vec3::new(1.0, 1.0, 0.2), false, glass));
         s.camera(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 0.002);
         let r = (f64::from(ior - 1.0) / f64::from(ior + 1.0)).powi(2);
-        for method in by_samples() {
+        for method in Method::ALL {
             let samples = if method.has_rounds() { 4096 } else { 65_536 };
-            let film = render_description(s.scene.clone(), &settings(method, 1, samples));
-            let got = f64::from(color(&film, 0, 0).g);
             let expected = (1.0 - r) / (1.0 + r);
-            // Standard error of a Bernoulli-like estimate, below 0.002 (0.008) of the value; 4 σ.
-            let sigma = (expected * (1.0 - expected) / f64::from(samples)).sqrt();
+            let (got, sigma) = if method == Method::Mlt {
+                let green = from_seeds(&s.scene, &settings(method, 1, 4096))[1];
+                assert!(green.sigma() < 0.01 * expected, "too noisy to see anything: {}", green.sigma());
+                (green.value, green.sigma())
+            } else {
+                let film = render_description(s.scene.clone(), &settings(method, 1, samples));
+                // Standard error of a Bernoulli-like estimate, below 0.002 (0.008) of the value; 4 σ.
+                (f64::from(color(&film, 0, 0).g), (expected * (1.0 - expected) / f64::from(samples)).sqrt())
+            };
             assert!(
                 (got - expected).abs() <= 4.0 * sigma + 1e-6,
                 "n = {ior}, {}: {got} instead of {expected} (σ = {sigma})",
@@ -208,7 +227,15 @@ fn attenuation_in_a_body() {
     s.mesh(quad(Vec3::new(-1.0, -1.0, -1.0), Vec3::X * 2.0, Vec3::Y * 2.0, lamp));
     s.mesh(cuboid(Vec3::new(-1.0, -1.0, -0.2), Vec3::new(1.0, 1.0, 0.2), false, glass));
     s.camera(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, 0.002);
-    for method in by_samples() {
+    for method in Method::ALL {
+        if method == Method::Mlt {
+            for (g, c) in from_seeds(&s.scene, &settings(method, 1, 4096)).into_iter().zip([0.5f64, 0.25, 1.0]) {
+                let (value, sigma) = (g.value, g.sigma());
+                assert!((value - c.sqrt()).abs() <= 4.6 * sigma, "mlt: {value} ± {sigma} instead of {}", c.sqrt());
+                assert!(sigma < 0.01 * value, "too noisy to see anything: {sigma} of {value}");
+            }
+            continue;
+        }
         let got = color(&render_description(s.scene.clone(), &settings(method, 1, 16)), 0, 0);
         for (g, c) in got.to_array().into_iter().zip([0.5f64, 0.25, 1.0]) {
             assert_close(method.name(), f64::from(g), c.sqrt(), 1e-4);

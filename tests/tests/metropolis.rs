@@ -7,6 +7,7 @@ use gatherlight_render::math::Rgb;
 use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::agree::assert_agree;
+use gatherlight_tests::welch::Mean;
 use gatherlight_tests::{single, transport};
 use std::sync::Arc;
 
@@ -93,4 +94,21 @@ fn the_phases_are_a_bootstrap_and_chains_and_darkness_stays_dark() {
     dark.materials.iter_mut().for_each(|m| m.emission = Rgb::BLACK);
     let film = single::render_description(dark, &settings());
     assert!(film.pixels.chunks_exact(4).all(|p| p == [0.0, 0.0, 0.0, 1.0]));
+}
+
+/// The brightness comes from independent paths, and every large step is one: with few bootstrap paths and many mutations it is far
+/// better known than by the bootstrap alone, whose error would never fall.
+#[test]
+fn the_brightness_gets_better_with_the_mutations() {
+    let scene = transport::diffuse_room();
+    let means = |mutations: u32| {
+        Mean::of((0..24).map(|seed| {
+            let s = RenderSettings { seed, mutations, bootstrap: 500, chains: 64, ..settings() };
+            single::mean(&single::render_description(scene.clone(), &s)).iter().sum::<f64>()
+        }))
+    };
+    let (few, many) = (means(1), means(256));
+    println!("{:.4} ± {:.4} with few mutations, {:.4} ± {:.4} with many", few.value, few.sigma(), many.value, many.sigma());
+    // 500 + 173 paths against 500 + 44,237 of them.
+    assert!(many.sigma() < 0.3 * few.sigma(), "{} is not much less than {}", many.sigma(), few.sigma());
 }

@@ -29,6 +29,48 @@ fn path_tracing_agrees_in_mean_and_its_error_falls_as_one_over_samples() {
     assert!((-1.3..-0.9).contains(&slope), "relMSE falls with slope {slope}");
 }
 
+/// relMSE at 64 × 64 of `work(n)` over a few seeds, the reference's own taken off.
+fn error_of(name: &str, work: impl Fn(u64) -> RenderSettings) -> f64 {
+    let truth = block_means(&reference(name), 4);
+    let at = |seed| {
+        let settings = RenderSettings { width: 64, height: 64, ..work(seed) };
+        against(&format!("{name}, {}", settings.method.name()), &render(name, &settings), &truth).relative_mse
+    };
+    (1..5).map(at).sum::<f64>() / 4.0
+}
+
+/// Slope of log relMSE over log work, from 4 to 64 samples and from 16 to 256 mutations a pixel.
+#[test]
+fn errors_of_the_other_unbiased_methods_fall_as_one_over_the_work() {
+    let bdpt = |samples, seed| RenderSettings { method: Method::Bdpt, samples, seed, ..Default::default() };
+    let mlt = |mutations, seed| RenderSettings { method: Method::Mlt, mutations, seed, chains: 4096, ..Default::default() };
+    let error = |work: &dyn Fn(u64) -> RenderSettings| error_of("cornell-diffuse", work);
+    for (name, few, many) in [
+        ("bdpt", error(&|seed| bdpt(4, seed)), error(&|seed| bdpt(64, seed))),
+        ("mlt", error(&|seed| mlt(16, seed)), error(&|seed| mlt(256, seed))),
+    ] {
+        let slope = (many / few).ln() / 16f64.ln();
+        println!("{name}: relMSE falls with slope {slope:.2}");
+        assert!((-1.15..=-0.85).contains(&slope), "{name}: relMSE falls with slope {slope}");
+    }
+}
+
+/// With α = 2/3 the variance of density estimates falls as N^(−2/3), and so does their squared blur inside smooth light; what does not
+/// depend on a radius, direct light above all, falls as 1/N (Knaus and Zwicker 2011, §4): the whole lies between.
+#[test]
+fn the_error_of_progressive_photon_mapping_falls_at_the_rate_of_the_paper() {
+    let with = |rounds: u32, seed| {
+        let photons = 20_000 * u64::from(rounds);
+        let base = RenderSettings { method: Method::Progressive, rounds, seed, ..Default::default() };
+        RenderSettings { photons, caustic_photons: 2 * photons, ..base }
+    };
+    for name in ["cornell-caustic", "caustic-ring"] {
+        let slope = (error_of(name, |s| with(64, s)) / error_of(name, |s| with(8, s))).ln() / 8f64.ln();
+        println!("{name}: relMSE falls with slope {slope:.2}");
+        assert!((-1.15..=-0.55).contains(&slope), "{name}: relMSE falls with slope {slope}");
+    }
+}
+
 /// The defaults, at the references' size.
 fn photon_defaults(name: &str, limit: f64) {
     let settings = RenderSettings { width: SIDE, height: SIDE, ..Default::default() };

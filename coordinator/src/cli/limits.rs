@@ -13,7 +13,7 @@ pub(super) struct LimitArgs {
     /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     time_limit: Option<Duration>,
-    /// Begin no further round once the image's standard error is this share of its mean, e.g. 1% or 0.01; noise only: the blur
+    /// Begin no further round once the pixels' standard error is this share of their value, e.g. 1% or 0.01; noise only: the blur
     /// of photon maps is not in it
     #[arg(long, value_name = "E", value_parser = parse_share)]
     target_error: Option<f32>,

@@ -1,6 +1,7 @@
 //! Where images are written: checked before the work, complete or not there at all.
 
 use super::error::CliError;
+use crate::report::{Report, html};
 use clap::Args;
 use gatherlight_render::export::{decode, png};
 use gatherlight_render::film::Film;
@@ -16,6 +17,10 @@ pub(super) struct OutputArgs {
     /// Image to write; NAME.png writes NAME.exr and a tone-mapped preview NAME.png beside it
     #[arg(short, long = "output", value_name = "OUT.exr")]
     output: PathBuf,
+    /// Write no report beside the image: OUT.report.json for scripts and OUT.report.html for people, with the error over time, the
+    /// time of each phase, the plan and all counts
+    #[arg(long)]
+    no_report: bool,
 }
 
 /// The files to write.
@@ -25,6 +30,8 @@ pub(super) struct Output {
     pub exr: PathBuf,
     /// The preview, where asked for.
     pub png: Option<PathBuf>,
+    /// Whether a report is written beside the image.
+    pub report: bool,
 }
 
 impl OutputArgs {
@@ -33,11 +40,11 @@ impl OutputArgs {
     /// # Errors
     /// When the extension is none that is written, or the directory is missing or not writable.
     pub(super) fn check(&self) -> Result<Output, CliError> {
-        let path = &self.output;
+        let (path, report) = (&self.output, !self.no_report);
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let output = match extension.as_deref() {
-            Some("exr") => Output { exr: path.clone(), png: None },
-            Some("png") => Output { exr: path.with_extension("exr"), png: Some(path.clone()) },
+            Some("exr") => Output { exr: path.clone(), png: None, report },
+            Some("png") => Output { exr: path.with_extension("exr"), png: Some(path.clone()), report },
             _ => {
                 return Err(CliError::Usage(format!(
                     "cannot tell what to write from the name {}; end it in .exr, or in .png for an EXR with a preview beside it",
@@ -76,6 +83,20 @@ impl Output {
         let image = decode(exr)?;
         let side = |n: usize| u32::try_from(n).map_err(|_| CliError::Failed("the image is too large".into()));
         write_preview(path, side(image.width)?, side(image.height)?, &image.rgb()?)
+    }
+
+    /// Writes the report of a job beside its image, if it is wanted.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub(super) fn write_report(&self, report: &Report) -> Result<(), CliError> {
+        if !self.report {
+            return Ok(());
+        }
+        let value = report.json();
+        let text = serde_json::to_string_pretty(&value).map_err(|e| CliError::Failed(e.to_string()))?;
+        write_atomically(&self.exr.with_extension("report.json"), text.as_bytes())?;
+        write_atomically(&self.exr.with_extension("report.html"), html::page(&value).as_bytes())
     }
 
     /// Names of the files, the EXR first.
@@ -151,7 +172,7 @@ mod tests {
     use super::*;
 
     fn check(path: PathBuf) -> Result<Output, CliError> {
-        OutputArgs { output: path }.check()
+        OutputArgs { output: path, no_report: false }.check()
     }
 
     #[test]

@@ -2,11 +2,13 @@
 //! terminal unless asked for.
 
 use super::format::{bytes, count, duration};
+use super::{json, print_json, print_result};
 use crate::types::{JobProgress, JobState};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
-use std::time::Duration;
+use serde_json::{Value, json};
+use std::time::{Duration, Instant};
 
 /// How much is said on stderr.
 #[derive(Args, Clone, Copy, Debug)]
@@ -21,6 +23,18 @@ pub(super) struct MessageArgs {
     /// Print results as JSON on stdout
     #[arg(long)]
     pub json: bool,
+    /// How progress is shown; json: a line of JSON for each event on stdout, the result last
+    #[arg(long, value_enum, default_value_t = Progress::Auto, value_name = "HOW")]
+    progress: Progress,
+}
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Progress {
+    /// Bars on a terminal.
+    Auto,
+    /// Events for scripts.
+    Json,
 }
 
 /// Where notes and progress go.
@@ -32,11 +46,16 @@ pub(super) enum Style {
     Lines,
     /// Moving bars.
     Bars,
+    /// Lines of JSON on stdout.
+    Json,
 }
 
 impl MessageArgs {
     /// What to show.
     pub(super) fn style(self) -> Style {
+        if self.progress == Progress::Json {
+            return Style::Json;
+        }
         match (self.quiet, std::io::stderr().is_terminal(), self.verbose) {
             (true, _, _) | (_, false, false) => Style::Quiet,
             (_, true, _) => Style::Bars,
@@ -45,8 +64,18 @@ impl MessageArgs {
     }
     /// Prints a note on stderr unless quiet.
     pub(super) fn note(self, text: &str) {
-        if self.style() != Style::Quiet {
+        if !matches!(self.style(), Style::Quiet | Style::Json) {
             eprintln!("{text}");
+        }
+    }
+    /// Prints how a job ended, for scripts or for people.
+    pub(super) fn print_end(self, json: Value, text: &str) {
+        if self.style() == Style::Json {
+            print_result(&json!({ "event": "end", "result": json }).to_string());
+        } else if self.json {
+            print_json(&json);
+        } else {
+            print_result(text);
         }
     }
 }
@@ -63,7 +92,12 @@ pub(super) struct JobView {
     current: Option<(JobState, ProgressBar, Figures)>,
     /// What is on show is all rounds together.
     in_rounds: bool,
+    /// When the last event was printed, and the state and rounds it told of.
+    told: Option<(Instant, JobState, u32)>,
 }
+
+/// Least time between two events that tell of the same state and round.
+const EVENT_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Name of the bar over all rounds.
 const ROUNDS: &str = "rounds";
@@ -85,13 +119,16 @@ struct Figures {
 impl JobView {
     /// A view that has seen nothing yet.
     pub(super) fn new(style: Style) -> Self {
-        JobView { style, current: None, in_rounds: false }
+        JobView { style, current: None, in_rounds: false, told: None }
     }
 
     /// Shows a snapshot.
     pub(super) fn update(&mut self, p: &JobProgress) {
         if self.style == Style::Quiet {
             return;
+        }
+        if self.style == Style::Json {
+            return self.tell(p);
         }
         if p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting && p.state != JobState::Assemble {
             return self.update_rounds(p);
@@ -117,6 +154,19 @@ impl JobView {
             bar.set_position(p.done);
             bar.set_message(joined([running_text(Some(state), *figures, p.workers), noise_text(p)]));
         }
+    }
+
+    /// Prints a snapshot as an event, if it says something new.
+    fn tell(&mut self, p: &JobProgress) {
+        let now = Instant::now();
+        let same = |t: &(Instant, JobState, u32)| {
+            t.1 == p.state && t.2 == p.stats.rounds_done && now.duration_since(t.0) < EVENT_INTERVAL
+        };
+        if self.told.as_ref().is_some_and(same) {
+            return;
+        }
+        self.told = Some((now, p.state.clone(), p.stats.rounds_done));
+        print_result(&json!({ "event": "progress", "job": json::job(p) }).to_string());
     }
 
     /// Shows a snapshot of a job of many rounds: one bar for all of them.
@@ -203,7 +253,7 @@ fn running_text(state: Option<&JobState>, f: Figures, workers: u32) -> String {
 
 /// The error so far, where it is known.
 fn noise_text(p: &JobProgress) -> String {
-    p.stats.noise.map_or_else(String::new, |n| format!("standard error {:.2} %", 100.0 * n.relative))
+    p.stats.noise.map_or_else(String::new, |n| format!("error {:.2} %", 100.0 * n.relative))
 }
 
 /// The parts that say something.

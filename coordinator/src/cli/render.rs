@@ -6,9 +6,9 @@ use super::output::OutputArgs;
 use super::preflight::Preflight;
 use super::progress::{JobView, MessageArgs};
 use super::scene::{Loaded, SceneArgs};
-use super::{print_json, print_result};
 use crate::embedded;
-use crate::report::Summary;
+use crate::report::timeline::Timeline;
+use crate::report::{Report, Summary};
 use clap::Args;
 use gatherlight_render::export;
 use gatherlight_render::job::PreparedJob;
@@ -62,8 +62,11 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     args.messages.note(&preflight.text());
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
-    let mut view = JobView::new(args.messages.style());
-    let result = embedded::render_prepared(&bundle, job, &config, |p| view.update(p));
+    let (mut view, mut timeline) = (JobView::new(args.messages.style()), Timeline::default());
+    let result = embedded::render_prepared(&bundle, job, &config, |p| {
+        timeline.record(p);
+        view.update(p);
+    });
     view.end();
     let result = result?;
 
@@ -74,10 +77,9 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
         elapsed: result.elapsed,
         files: output.names(),
     };
-    if args.messages.json {
-        print_json(&summary.json())
-    } else {
-        print_result(&summary.text())
-    }
+    let Preflight { plan, warnings, .. } = preflight;
+    let report = Report { summary, timeline, plan, warnings };
+    output.write_report(&report)?;
+    args.messages.print_end(report.summary.json(), &report.summary.text());
     Ok(())
 }

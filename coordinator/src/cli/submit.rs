@@ -12,7 +12,7 @@ use super::scene::{Loaded, SceneArgs};
 use super::watch::{follow, interrupted, outcome};
 use super::{json, print_json, print_result};
 use crate::client::{Client, SubmitRequest};
-use crate::report::Summary;
+use crate::report::{Report, Summary};
 use crate::types::JobId;
 use clap::Args;
 use gatherlight_render::settings::RenderSettings;
@@ -58,12 +58,19 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let limits = args.limits.limits(preflight.can_end_early, preflight.rounds)?;
     args.messages.note(&preflight.text());
     let Loaded { bundle, settings, .. } = loaded;
+    let Preflight { plan, warnings, .. } = preflight;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
     let request = SubmitRequest { name, bundle, settings, limits };
-    args.connection.run(|client| submit(client, args, request, output))
+    args.connection.run(|client| submit(client, args, request, output, [plan, warnings]))
 }
 
-async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, output: Output) -> CliResult {
+async fn submit(
+    client: Client,
+    args: &SubmitArgs,
+    request: SubmitRequest,
+    output: Output,
+    [plan, warnings]: [Vec<String>; 2],
+) -> CliResult {
     let bars = args.messages.style() == Style::Bars;
     let upload = |sent, total| {
         if bars {
@@ -85,12 +92,12 @@ async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, outpu
         return Ok(());
     }
     let finish = async {
-        let last = follow(&client, id, args.messages).await?;
+        let (last, timeline) = follow(&client, id, args.messages).await?;
         outcome(&last)?;
         let digest = fetch_to(client.clone(), id, &output).await?;
-        Ok::<_, CliError>((last, digest))
+        Ok::<_, CliError>((last, timeline, digest))
     };
-    let (last, digest) = tokio::select! {
+    let (last, timeline, digest) = tokio::select! {
         done = finish => done?,
         () = interrupted() => {
             eprintln!("\n{}", how_to_return(client.url(), id, &output));
@@ -98,11 +105,10 @@ async fn submit(client: Client, args: &SubmitArgs, request: SubmitRequest, outpu
         }
     };
     let summary = summary(request.settings, &last, &output);
-    if args.messages.json {
-        print_json(&with_job(summary.json(), json::job(&last), &digest));
-    } else {
-        print_result(&summary.text());
-    }
+    let report = Report { summary, timeline, plan, warnings };
+    output.write_report(&report)?;
+    let (json, text) = (report.summary.json(), report.summary.text());
+    args.messages.print_end(with_job(json, json::job(&last), &digest), &text);
     Ok(())
 }
 

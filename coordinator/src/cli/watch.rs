@@ -4,8 +4,9 @@ use super::connection::ConnectionArgs;
 use super::error::{CliError, CliResult};
 use super::format::duration;
 use super::progress::{JobView, MessageArgs};
-use super::{json, print_json, print_result};
+use super::json;
 use crate::client::Client;
+use crate::report::timeline::Timeline;
 use crate::types::{JobId, JobProgress, JobState};
 use clap::Args;
 use tokio_stream::StreamExt;
@@ -30,7 +31,7 @@ pub(super) struct WatchArgs {
 }
 
 pub(super) fn run(args: &WatchArgs) -> CliResult {
-    let last = args.connection.run(|client| async move {
+    let (last, _) = args.connection.run(|client| async move {
         tokio::select! {
             last = follow(&client, args.job, args.messages) => last,
             () = interrupted() => {
@@ -39,27 +40,29 @@ pub(super) fn run(args: &WatchArgs) -> CliResult {
             }
         }
     })?;
-    if args.messages.json {
-        print_json(&json::job(&last));
-    } else {
-        print_result(&format!("{} {} after {}", last.id, last.state.name(), duration(last.elapsed)));
-    }
+    let text = format!("{} {} after {}", last.id, last.state.name(), duration(last.elapsed));
+    args.messages.print_end(json::job(&last), &text);
     outcome(&last)
 }
 
-/// Shows the job's progress until it ends; its last snapshot.
-pub(super) async fn follow(client: &Client, job: JobId, messages: MessageArgs) -> Result<JobProgress, CliError> {
+/// Shows the job's progress until it ends; its last snapshot and its course.
+pub(super) async fn follow(
+    client: &Client,
+    job: JobId,
+    messages: MessageArgs,
+) -> Result<(JobProgress, Timeline), CliError> {
     let mut snapshots = client.watch(job).await?;
-    let mut view = JobView::new(messages.style());
+    let (mut view, mut timeline) = (JobView::new(messages.style()), Timeline::default());
     let mut last = None;
     while let Some(snapshot) = snapshots.next().await {
         let snapshot = snapshot?;
+        timeline.record(&snapshot);
         view.update(&snapshot);
         last = Some(snapshot);
     }
     view.end();
     match last {
-        Some(last) if last.state.is_final() => Ok(last),
+        Some(last) if last.state.is_final() => Ok((last, timeline)),
         _ => Err(CliError::Failed(format!("the coordinator at {} stopped reporting on {job}", client.url()))),
     }
 }

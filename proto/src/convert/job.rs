@@ -138,7 +138,7 @@ impl From<&JobStats> for wire::JobStats {
             }
             .into(),
             mutations: (s.mutations != Mutations::default()).then(|| {
-                let Mutations { large, large_accepted, small, small_accepted } = s.mutations;
+                let Mutations { large, large_accepted, small, small_accepted, .. } = s.mutations;
                 wire::Mutations { large, large_accepted, small, small_accepted }
             }),
             standard_error: s.noise.map(|n| n.standard_error),
@@ -170,6 +170,7 @@ impl TryFrom<wire::JobStats> for JobStats {
                 large_accepted: m.large_accepted,
                 small: m.small,
                 small_accepted: m.small_accepted,
+                large_luminance: 0,
             }),
             gather_radius: s.gather_radius,
             k: s.k,

@@ -184,7 +184,7 @@ fn job_snapshots_survive() {
         rounds_done: 7,
         units_done: 8,
         ended_by: Some(Limit::Time),
-        mutations: Mutations { large: 9, large_accepted: 8, small: 7, small_accepted: 6 },
+        mutations: Mutations { large: 9, large_accepted: 8, small: 7, small_accepted: 6, large_luminance: 0 },
         noise: Some(Noise { standard_error: 0.25, relative: f64::INFINITY }),
         ..JobStats::default()
     };

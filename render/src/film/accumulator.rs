@@ -36,17 +36,9 @@ struct Sums {
 pub struct Noise {
     /// Root of the mean over pixels and channels of the variance of the mean, in radiance.
     pub standard_error: f64,
-    /// The same divided by the image's mean; infinite for a black image with noise, 0 without.
+    /// The same with each pixel's variance divided by the square of its value, or of the image's mean where that is greater: a lamp
+    /// that is seen does not outweigh all else, and dark pixels count as they are seen. Infinite for a black image with noise.
     pub relative: f64,
-}
-
-impl Noise {
-    /// From the mean squared standard error and the mean of an image.
-    pub fn new(mean_variance: f64, mean: f64) -> Self {
-        let standard_error = mean_variance.max(0.0).sqrt();
-        let relative = if standard_error == 0.0 { 0.0 } else { standard_error / mean.abs() };
-        Noise { standard_error, relative }
-    }
 }
 
 impl Accumulator {
@@ -122,21 +114,31 @@ impl Accumulator {
         if self.closed < 2 {
             return None;
         }
-        // Rows are summed by themselves and then in order: the same bits for any number of threads.
         let row = self.film.grid.width as usize;
-        let rows = sums.values.par_chunks(row * n).zip(sums.squares.par_chunks(row * 3));
-        let rows: Vec<[f64; 2]> = rows
-            .map(|(values, squares)| {
-                let pixels = values.chunks_exact(n).zip(squares.chunks_exact(3));
-                pixels.fold([0.0; 2], |[variances, total], (values, squares)| {
-                    let between: f64 = (0..3).map(|c| between(squares[c], values[c], samples)).sum();
-                    [variances + between / (rounds - 1.0) / samples, total + values[..3].iter().sum::<f64>() / samples]
-                })
+        let rows = || sums.values.par_chunks(row * n).zip(sums.squares.par_chunks(row * 3));
+        let count = (sums.squares.len() as f64).max(1.0);
+        // Rows are summed by themselves and then in order: the same bits for any number of threads.
+        let in_order = |rows: Vec<[f64; 2]>| rows.iter().fold([0.0; 2], |sum, r| [sum[0] + r[0], sum[1] + r[1]]);
+        let totals = rows().map(|(values, _)| {
+            let total: f64 = values.chunks_exact(n).map(|v| v[..3].iter().sum::<f64>()).sum();
+            [total / samples, 0.0]
+        });
+        let mean = (in_order(totals.collect())[0] / count).abs();
+        let variances = rows().map(|(values, squares)| {
+            let pixels = values.chunks_exact(n).zip(squares.chunks_exact(3));
+            pixels.fold([0.0; 2], |mut sums, (values, squares)| {
+                for c in 0..3 {
+                    let variance = between(squares[c], values[c], samples) / (rounds - 1.0) / samples;
+                    if variance > 0.0 {
+                        sums[0] += variance;
+                        sums[1] += variance / (values[c] / samples).abs().max(mean).powi(2);
+                    }
+                }
+                sums
             })
-            .collect();
-        let [variances, total] = rows.iter().fold([0.0; 2], |sum, r| [sum[0] + r[0], sum[1] + r[1]]);
-        let values = (sums.squares.len() as f64).max(1.0);
-        Some(Noise::new(variances / values, total / values))
+        });
+        let [absolute, relative] = in_order(variances.collect()).map(|sum| (sum / count).sqrt());
+        Some(Noise { standard_error: absolute, relative })
     }
 
     /// The film of whole rounds that came as a light image: colour in plane 0, alpha in plane 1 in its

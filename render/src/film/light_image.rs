@@ -45,6 +45,8 @@ pub struct Mutations {
     pub small: u64,
     /// Of them, accepted ones.
     pub small_accepted: u64,
+    /// Σ over large steps of the proposal's luminance over the bootstrap's mean, in 2⁻⁶⁴.
+    pub large_luminance: u128,
 }
 
 impl Mutations {
@@ -54,6 +56,11 @@ impl Mutations {
         self.large_accepted = self.large_accepted.saturating_add(other.large_accepted);
         self.small = self.small.saturating_add(other.small);
         self.small_accepted = self.small_accepted.saturating_add(other.small_accepted);
+        self.large_luminance = self.large_luminance.saturating_add(other.large_luminance);
+    }
+    /// Mean over the large steps of the proposal's luminance over the bootstrap's mean, if there was any.
+    pub fn large_mean(&self) -> Option<f64> {
+        (self.large > 0).then(|| self.large_luminance as f64 / 2f64.powi(64) / self.large as f64)
     }
     /// Shares of the large and the small steps that were accepted; 0 where there were none.
     pub fn acceptance(&self) -> [f64; 2] {
@@ -117,10 +124,12 @@ impl LightImage {
     pub fn mutations(&self) -> &Mutations {
         &self.mutations
     }
-    /// Counts a mutation.
-    pub fn count_mutation(&mut self, large: bool, accepted: bool) {
+    /// Counts a mutation; `luminance` is the proposal's over the bootstrap's mean.
+    pub fn count_mutation(&mut self, large: bool, accepted: bool, luminance: f64) {
         let one = if large {
-            Mutations { large: 1, large_accepted: u64::from(accepted), ..Mutations::default() }
+            // Not finite ones become 0 or the most there is, and are counted as such elsewhere.
+            let large_luminance = (luminance * 2f64.powi(64)) as u128;
+            Mutations { large: 1, large_accepted: u64::from(accepted), large_luminance, ..Mutations::default() }
         } else {
             Mutations { small: 1, small_accepted: u64::from(accepted), ..Mutations::default() }
         };

@@ -33,6 +33,10 @@ impl Bootstrap {
     pub fn sum(&self) -> f64 {
         self.cumulative.last().copied().unwrap_or(0.0)
     }
+    /// Mean of the luminances; 0 without paths.
+    pub fn mean(&self) -> f64 {
+        self.sum() / self.weights.len().max(1) as f64
+    }
     /// The path that `u` in [0, 1) chooses in proportion to its luminance; `None` when all are black.
     pub fn sample(&self, u: f64) -> Option<u64> {
         let sum = self.sum();

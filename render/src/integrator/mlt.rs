@@ -3,13 +3,14 @@
 //!
 //! A path is a function of numbers in [0, 1): the first chooses its length, the second its strategy (s, t), the rest make
 //! the two sub-paths and their connection. A Markov chain walks over these numbers: large steps draw all of them anew, small
-//! steps move each a little. Independent bootstrap paths fix the image's brightness, and the chains start at some of them,
-//! chosen in proportion to their luminance, which leaves no start-up bias (Veach 1997, §11.3.1).
+//! steps move each a little. Independent paths, those of the bootstrap and the large steps, fix the image's brightness, and the chains
+//! start at some bootstrap paths, chosen in proportion to their luminance, which leaves no start-up bias (Veach 1997, §11.3.1).
 
 use super::Bootstrap;
 use super::connect::{Connection, Connector, Contribution};
 use super::vertex::{Start, Vertex, Walk};
 use crate::film::LightImage;
+use crate::film::light_image::Mutations;
 use crate::material::TransportMode;
 use crate::math::primary::{Lane, PrimarySpace, Step};
 use crate::math::{Numbers, Purpose, Rgb, Stream};
@@ -90,10 +91,13 @@ impl<'a> Mlt<'a> {
     }
 
     /// The factor that turns the sums of `chains` chains into the image: pixels · b / mutations, where b is the mean
-    /// luminance of the bootstrap paths (Veach 1997, eq. 11.7).
-    pub fn scale(settings: &RenderSettings, bootstrap: &Bootstrap, chains: u64) -> f64 {
+    /// luminance of independent paths (Veach 1997, eq. 11.7). The large steps that the chains proposed are such paths as the
+    /// bootstrap's are: with them the brightness gets better as long as the chains run.
+    pub fn scale(settings: &RenderSettings, bootstrap: &Bootstrap, chains: u64, mutations: &Mutations) -> f64 {
         let pixels = f64::from(settings.width) * f64::from(settings.height);
-        let mean = bootstrap.sum() / bootstrap.weights().len().max(1) as f64;
+        let (first, steps) = (bootstrap.weights().len() as f64, mutations.large as f64);
+        let all = (first + steps * mutations.large_mean().unwrap_or(0.0)) / (first + steps).max(1.0);
+        let mean = bootstrap.mean() * all;
         let share = chains as f64 / f64::from(settings.chains);
         pixels * mean / (Self::mutations(settings) as f64 * share).max(1.0)
     }
@@ -113,6 +117,7 @@ impl<'a> Mlt<'a> {
         let u = (chain as f64 + f64::from(random.next_f32())) / f64::from(settings.chains);
         let Some(start) = bootstrap.sample(u) else { return };
         let mut space = self.start(start);
+        let brightness = bootstrap.mean();
         let mut state = State { path: self.path(&mut space), weight: 0.0 };
         light.add_rays(u64::from(state.path.rays));
         space.accept();
@@ -120,14 +125,14 @@ impl<'a> Mlt<'a> {
         let total = u128::from(Self::mutations(settings));
         let upto = |c: u64| (total * u128::from(c) / u128::from(settings.chains)) as u64;
         for _ in upto(chain)..upto(chain + 1) {
-            self.mutate(&mut space, &mut state, light);
+            self.mutate(&mut space, &mut state, brightness, light);
         }
         state.splat(light);
     }
 
     /// One mutation, accepted with probability min(1, luminance / current luminance). Both states count, each with the
     /// probability of being the next (Veach 1997, §11.3.3).
-    fn mutate(&self, space: &mut PrimarySpace, state: &mut State, light: &mut LightImage) {
+    fn mutate(&self, space: &mut PrimarySpace, state: &mut State, brightness: f64, light: &mut LightImage) {
         let step = space.propose(self.settings.large_step);
         let path = self.path(space);
         light.add_rays(u64::from(path.rays));
@@ -137,7 +142,7 @@ impl<'a> Mlt<'a> {
         let acceptance = if finite && proposed > 0.0 { (proposed / current).min(1.0) } else { 0.0 };
         state.weight += 1.0 - acceptance;
         let accepted = f64::from(space.random().next_f32()) < acceptance;
-        light.count_mutation(step == Step::Large, accepted);
+        light.count_mutation(step == Step::Large, accepted, if finite { proposed / brightness } else { 0.0 });
         if accepted {
             state.splat(light);
             *state = State { path, weight: acceptance };
