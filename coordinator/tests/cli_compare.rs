@@ -20,6 +20,8 @@ fn write(path: &Path, width: u32, height: u32, pixel: impl Fn(usize) -> [f32; 3]
         maps: Vec::new(),
         plan: Vec::new(),
         non_finite: 0,
+        samples: None,
+        noise: None,
         rounds: None,
         units: None,
     };

@@ -46,8 +46,10 @@ METHODS = {
 }
 # Rows beside those: by scene, options that suit it, for n units of work.
 TUNED = {
-    "cornell-diffuse": {"photon --final-gather 2 --photons 1M": lambda n: ["--samples", str(n)]},
-    "cornell-caustic": {"progressive, 2M + 4M photons in 128 rounds":
+    "cornell-diffuse": {"photon --final-gather 2 --photons 1M": lambda n: ["--samples", str(n)],
+                        "mlt --bootstrap 1M": METHODS["mlt"]},
+    "cornell-caustic": {"mlt --bootstrap 1M": METHODS["mlt"],
+                        "progressive, 2M + 4M photons in 128 rounds":
                         lambda n: ["--rounds", str(n)] + photons(2e6 / 128, 4e6 / 128)(n)},
     "caustic-ring": {"progressive, 1M + 16M photons in 128 rounds":
                      lambda n: ["--rounds", str(n)] + photons(1e6 / 128, 16e6 / 128)(n)},
