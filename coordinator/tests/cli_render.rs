@@ -116,7 +116,7 @@ fn noise_is_stated_where_there_is_something_to_compare() {
 #[test]
 fn a_report_is_written_beside_the_image() {
     let dir = triangle_dir();
-    let args = "render triangle.gltf -o x.exr --height 16 --samples 32 --photons 2k --caustic-photons 2k";
+    let args = "render triangle.gltf -o x.exr --height 256 --samples 64 --photons 2k --caustic-photons 2k";
     run(dir.path(), args).says(0, &[]);
     let names = ["the triangle.bin", "triangle.gltf", "x.exr", "x.report.html", "x.report.json"];
     assert_eq!(files(dir.path()), names);

@@ -1,12 +1,13 @@
 //! What determines an image: everything here, together with the scene's digest, and nothing else.
 
 mod options;
+pub mod strategies;
 
 pub use options::Setting;
+pub use strategies::Strategy;
 pub(crate) use options::enumerate;
 
 use crate::error::SettingsError;
-use crate::film::Strategy;
 
 /// Largest number of pixels along one side.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;
@@ -125,7 +126,7 @@ pub enum Layer {
     Variance,
     /// Samples taken.
     Samples,
-    /// Radiance by each strategy of short paths, weighted and unweighted: see [`crate::film::Strategy`].
+    /// Radiance by each strategy of short paths, weighted and unweighted: see [`Strategy`].
     Strategies,
 }
 

@@ -1,8 +1,9 @@
 //! Bidirectional path tracing: the same light as path tracing, weights that sum to 1, and the same bits in any order.
 
-use gatherlight_render::film::{Film, LightImage, Strategy};
+use gatherlight_render::film::{Film, LightImage};
 use gatherlight_render::job::Inputs;
-use gatherlight_render::settings::{Layer, Method, RenderSettings};
+use gatherlight_render::settings::strategies::MAX_EDGES;
+use gatherlight_render::settings::{Layer, Method, RenderSettings, Strategy};
 use gatherlight_tests::agree::assert_agree;
 use gatherlight_tests::welch::Mean;
 use gatherlight_tests::{single, transport};
@@ -92,7 +93,7 @@ fn strategy(film: &Film, pixel: &[f32], s: Strategy, weighted: bool) -> [f32; 3]
 fn weighted_strategies_add_up_to_the_image() {
     for (name, scene) in transport::rooms() {
         let settings = RenderSettings {
-            max_depth: Some(gatherlight_render::film::strategies::MAX_EDGES),
+            max_depth: Some(MAX_EDGES),
             layers: vec![Layer::Albedo, Layer::Strategies],
             ..settings(Method::Bdpt, 2)
         };

@@ -176,10 +176,15 @@ async fn limits_are_refused_with_the_flag_that_raises_them() {
 async fn a_time_limit_that_could_never_end_the_job_is_refused() {
     let (_store, coordinator) = start(small_leases()).await;
     let limits = Limits { time: Some(Duration::from_secs(9)), error: None };
-    let request = SubmitRequest { limits, ..request(&RING, &small_settings()) };
+    let settings = RenderSettings { samples: 1, ..small_settings() };
+    let request = SubmitRequest { limits, ..request(&RING, &settings) };
     let submitted = coordinator.client().await.submit(&request, |_, _| {}).await;
     let Err(ClientError::Refused(text)) = submitted else { panic!("{submitted:?}") };
     assert!(text.contains("time limit") && text.contains("photon"), "{text}");
+    let limits = Limits { time: None, error: Some(0.1) };
+    let submitted = coordinator.client().await.submit(&SubmitRequest { limits, ..request }, |_, _| {}).await;
+    let Err(ClientError::Refused(text)) = submitted else { panic!("{submitted:?}") };
+    assert!(text.contains("error limit") && text.contains("photon"), "{text}");
 }
 
 /// Over the wire, where maps and bootstraps are encoded and fetched: for every method.

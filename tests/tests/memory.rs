@@ -83,4 +83,6 @@ fn a_job_of_photons_takes_that_with_one_thread_too() {
 #[test]
 fn a_job_of_pixels_takes_what_the_plan_states() {
     check("cornell-diffuse.glb", &["--method", "path", "--width", "1536", "--samples", "1"]);
+    // Several rounds, whose sums are kept beside the film.
+    check("cornell-diffuse.glb", &["--method", "path", "--width", "1536", "--samples", "3"]);
 }

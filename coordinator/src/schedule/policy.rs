@@ -50,7 +50,7 @@ impl Default for Policy {
             probe_paths: 8_192,
             min_paths: 1_024,
             max_paths: 1 << 22,
-            max_tiles: 4_096,
+            max_tiles: 1_024,
             max_lease_photons: 1 << 19,
             dead_after: Duration::from_secs(10),
             min_deadline: Duration::from_secs(120),

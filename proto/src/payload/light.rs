@@ -275,7 +275,7 @@ mod tests {
         };
         assert!(say(24, &u64::MAX.to_le_bytes()).contains("MAX_RESULT_COUNT"));
         assert!(say(48, &7u64.to_le_bytes()).contains("more mutations accepted"));
-        assert!(say(72, &u32::MAX.to_le_bytes()).contains("the image has 18"));
+        assert!(say(88, &u32::MAX.to_le_bytes()).contains("the image has 18"));
         assert!(say(HEADER_BYTES + 8, &4u32.to_le_bytes()).contains("out of order"));
         assert!(say(HEADER_BYTES + 16, &18u32.to_le_bytes()).contains("outside the image"));
         assert!(say(HEADER_BYTES + 4, &u32::MAX.to_le_bytes()).contains("early"));

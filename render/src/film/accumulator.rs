@@ -131,7 +131,8 @@ impl Accumulator {
                     let variance = between(squares[c], values[c], samples) / (rounds - 1.0) / samples;
                     if variance > 0.0 {
                         sums[0] += variance;
-                        sums[1] += variance / (values[c] / samples).abs().max(mean).powi(2);
+                        let value = (values[c] / samples).abs().max(mean);
+                        sums[1] += variance / (value * value);
                     }
                 }
                 sums

@@ -60,7 +60,7 @@ impl Mutations {
     }
     /// Mean over the large steps of the proposal's luminance over the bootstrap's mean, if there was any.
     pub fn large_mean(&self) -> Option<f64> {
-        (self.large > 0).then(|| self.large_luminance as f64 / 2f64.powi(64) / self.large as f64)
+        (self.large > 0).then(|| self.large_luminance as f64 / power_of_two(64) / self.large as f64)
     }
     /// Shares of the large and the small steps that were accepted; 0 where there were none.
     pub fn acceptance(&self) -> [f64; 2] {
@@ -128,7 +128,7 @@ impl LightImage {
     pub fn count_mutation(&mut self, large: bool, accepted: bool, luminance: f64) {
         let one = if large {
             // Not finite ones become 0 or the most there is, and are counted as such elsewhere.
-            let large_luminance = (luminance * 2f64.powi(64)) as u128;
+            let large_luminance = (luminance * power_of_two(64)) as u128;
             Mutations { large: 1, large_accepted: u64::from(accepted), large_luminance, ..Mutations::default() }
         } else {
             Mutations { small: 1, small_accepted: u64::from(accepted), ..Mutations::default() }

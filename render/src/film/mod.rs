@@ -5,12 +5,10 @@ pub mod channels;
 pub mod compare;
 pub mod image;
 pub mod light_image;
-pub mod strategies;
 pub mod tile;
 
 pub use accumulator::{Accumulator, Noise};
 pub use channels::ChannelSet;
 pub use image::Image;
 pub use light_image::LightImage;
-pub use strategies::Strategy;
 pub use tile::{Film, Tile, TileError, TileGrid, TileRect};

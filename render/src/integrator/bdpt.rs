@@ -9,13 +9,13 @@ use super::path::first_hit;
 use super::sample::Sample;
 use super::tile::SampleId;
 use super::vertex::{Start, Vertex, Walk};
-use crate::film::{LightImage, Strategy};
+use crate::film::LightImage;
 use crate::geometry::Ray;
 use crate::material::TransportMode;
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Stream};
 use crate::scene::{Camera, Scene};
-use crate::settings::{Layer, RenderSettings};
+use crate::settings::{Layer, RenderSettings, Strategy};
 
 /// Connections that would add less than this share of what a sample has already are subject to roulette. Larger saves few
 /// rays more and adds noise (measured: 0.1 gives the least variance · time on diffuse, glossy and specular rooms).

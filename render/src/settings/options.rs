@@ -2,9 +2,8 @@
 //!
 //! Width, height, camera, seed and layers are every method's.
 
-use super::{Estimator, Kernel, Layer, Merge, Method, RenderSettings};
+use super::{Estimator, Kernel, Layer, Merge, Method, RenderSettings, Strategy};
 use crate::error::SettingsError;
-use crate::film::Strategy;
 
 /// An option that not every method uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
