@@ -109,7 +109,8 @@ fn noise_is_stated_where_there_is_something_to_compare() {
     assert!(text.out.contains("relative standard error"), "{text:?}");
     let stated = image(&dir.path().join("x.exr")).attributes["gatherlight:relative_standard_error"].clone();
     assert!(stated.parse::<f64>().is_ok_and(|e| e > 0.0), "{stated}");
-    let one = run(dir.path(), "render triangle.gltf -o x.exr --height 16 --samples 1 --photons 2k --caustic-photons 2k");
+    let one =
+        run(dir.path(), "render triangle.gltf -o x.exr --height 16 --samples 1 --photons 2k --caustic-photons 2k");
     assert!(one.code == 0 && !one.out.contains("standard error"), "{one:?}");
 }
 

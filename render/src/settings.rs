@@ -4,8 +4,8 @@ mod options;
 pub mod strategies;
 
 pub use options::Setting;
-pub use strategies::Strategy;
 pub(crate) use options::enumerate;
+pub use strategies::Strategy;
 
 use crate::error::SettingsError;
 

@@ -65,7 +65,8 @@ fn enclosure_by_unbiased_methods() {
 fn enclosure_by_metropolis_light_transport() {
     for albedo in [0.5f32, 0.9] {
         let scene = enclosure(albedo, 0.25);
-        let film = |seed| render_description(scene.clone(), &RenderSettings { seed, ..settings(Method::Mlt, 24, 4096) });
+        let film =
+            |seed| render_description(scene.clone(), &RenderSettings { seed, ..settings(Method::Mlt, 24, 4096) });
         let m = Mean::of((0..16).map(|seed| mean(&film(seed))[1]));
         let expected = 0.25 / (1.0 - f64::from(albedo));
         assert!((m.value - expected).abs() < 5.0 * m.sigma(), "{albedo}: {} ± {}, not {expected}", m.value, m.sigma());

@@ -115,11 +115,7 @@ fn weighted_strategies_add_up_to_the_image() {
 /// (Veach 1997, §10.2): their means are equal.
 #[test]
 fn unweighted_strategies_show_the_same_light_each() {
-    let settings = RenderSettings {
-        max_depth: Some(4),
-        layers: vec![Layer::Strategies],
-        ..settings(Method::Bdpt, 64)
-    };
+    let settings = RenderSettings { max_depth: Some(4), layers: vec![Layer::Strategies], ..settings(Method::Bdpt, 64) };
     let films: Vec<Film> = (0..8)
         .map(|seed| single::render_description(transport::diffuse_room(), &RenderSettings { seed, ..settings.clone() }))
         .collect();
@@ -148,5 +144,8 @@ fn layers_it_does_not_have_are_refused_with_those_it_has() {
     assert_eq!(with(vec![Layer::Albedo, Layer::Normal, Layer::Depth, Layer::Position, Layer::Samples]), Ok(()));
     let error = with(vec![Layer::Caustic]).expect_err("no caustic layer");
     assert_eq!(error.setting, "layers");
-    assert_eq!(error.message, "method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies");
+    assert_eq!(
+        error.message,
+        "method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies"
+    );
 }

@@ -108,7 +108,13 @@ fn the_brightness_gets_better_with_the_mutations() {
         }))
     };
     let (few, many) = (means(1), means(256));
-    println!("{:.4} ± {:.4} with few mutations, {:.4} ± {:.4} with many", few.value, few.sigma(), many.value, many.sigma());
+    println!(
+        "{:.4} ± {:.4} with few mutations, {:.4} ± {:.4} with many",
+        few.value,
+        few.sigma(),
+        many.value,
+        many.sigma()
+    );
     // 500 + 173 paths against 500 + 44,237 of them.
     assert!(many.sigma() < 0.3 * few.sigma(), "{} is not much less than {}", many.sigma(), few.sigma());
 }

@@ -6,8 +6,8 @@ use super::{json, print_json, print_result};
 use crate::types::{JobProgress, JobState};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
 use serde_json::{Value, json};
+use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 /// How much is said on stderr.

@@ -71,12 +71,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let result = result?;
 
     output.write_film(&result.film, &export::encode(&result.film, &result.metadata)?)?;
-    let summary = Summary {
-        settings,
-        stats: result.stats,
-        elapsed: result.elapsed,
-        files: output.names(),
-    };
+    let summary = Summary { settings, stats: result.stats, elapsed: result.elapsed, files: output.names() };
     let Preflight { plan, warnings, .. } = preflight;
     let report = Report { summary, timeline, plan, warnings };
     output.write_report(&report)?;

@@ -3,8 +3,8 @@
 use super::connection::ConnectionArgs;
 use super::error::{CliError, CliResult};
 use super::format::duration;
-use super::progress::{JobView, MessageArgs};
 use super::json;
+use super::progress::{JobView, MessageArgs};
 use crate::client::Client;
 use crate::report::timeline::Timeline;
 use crate::types::{JobId, JobProgress, JobState};

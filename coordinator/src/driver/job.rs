@@ -74,7 +74,8 @@ impl JobRecord {
         let live = Live::new(&spec, sink);
         let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
-        let (prepared_rounds, tiles) = (prepared.rounds(), u64::from(prepared.grid().len()) * u64::from(prepared.rounds()));
+        let (prepared_rounds, tiles) =
+            (prepared.rounds(), u64::from(prepared.grid().len()) * u64::from(prepared.rounds()));
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
         let about = About::new(&prepared, phases);
         let maps = map_stats(phases);

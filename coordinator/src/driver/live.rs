@@ -257,7 +257,8 @@ impl Round {
         };
         film.close(light.as_ref());
         let noise = film.noise();
-        let good = |n: Noise| film.closed_rounds() >= LEAST_ROUNDS && target.is_some_and(|t| n.relative <= f64::from(t));
+        let good =
+            |n: Noise| film.closed_rounds() >= LEAST_ROUNDS && target.is_some_and(|t| n.relative <= f64::from(t));
         Ok(ClosedRound { round, is_good_enough: noise.is_some_and(good), noise, film: Box::new(film) })
     }
 }

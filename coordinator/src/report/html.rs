@@ -41,7 +41,9 @@ pub fn page(report: &Value) -> String {
     row(&mut out, "peak memory of this process (bytes)", &text(&report["peak_memory_bytes"]));
     out.push_str("</table>\n");
     if !list(&stats["maps"]).is_empty() {
-        out.push_str("<h2>Photon maps</h2>\n<table><tr><th>map</th><th>emitted</th><th>stored</th><th>bytes</th></tr>\n");
+        out.push_str(
+            "<h2>Photon maps</h2>\n<table><tr><th>map</th><th>emitted</th><th>stored</th><th>bytes</th></tr>\n",
+        );
         for map in list(&stats["maps"]) {
             let _ = writeln!(
                 out,
@@ -70,10 +72,9 @@ fn errors(out: &mut String, timeline: &Value) {
             .filter(|p| p.iter().all(|v| *v > 0.0))
             .collect()
     };
-    for (time, slope, name) in [
-        ("elapsed_s", "slope_over_elapsed", "wall time"),
-        ("busy_s", "slope_over_busy", "compute time of all workers"),
-    ] {
+    for (time, slope, name) in
+        [("elapsed_s", "slope_over_elapsed", "wall time"), ("busy_s", "slope_over_busy", "compute time of all workers")]
+    {
         let points = points(time);
         if points.len() < 2 {
             out.push_str("<p>The error is not known: fewer than three rounds were compared.</p>\n");
@@ -96,11 +97,7 @@ fn plot(out: &mut String, points: &[[f64; 2]], caption: &str) {
     let place = |i: usize, value: f64| {
         let (low, high) = ranges[i];
         let share = (value.log10() - low) / (high - low);
-        if i == 0 {
-            MARGIN + share * (WIDTH - 1.5 * MARGIN)
-        } else {
-            HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN)
-        }
+        if i == 0 { MARGIN + share * (WIDTH - 1.5 * MARGIN) } else { HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN) }
     };
     let _ = write!(out, "<figure><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">");
     let (left, right, top, bottom) = (MARGIN, WIDTH - 0.5 * MARGIN, 0.5 * MARGIN, HEIGHT - MARGIN);
@@ -125,11 +122,11 @@ fn plot(out: &mut String, points: &[[f64; 2]], caption: &str) {
             };
         }
     }
-    let line: Vec<String> =
-        points.iter().map(|p| format!("{:.1},{:.1}", place(0, p[0]), place(1, p[1]))).collect();
+    let line: Vec<String> = points.iter().map(|p| format!("{:.1},{:.1}", place(0, p[0]), place(1, p[1]))).collect();
     let _ = write!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/>", line.join(" "));
     for p in points {
-        let _ = write!(out, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\" fill=\"#06c\"/>", place(0, p[0]), place(1, p[1]));
+        let _ =
+            write!(out, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\" fill=\"#06c\"/>", place(0, p[0]), place(1, p[1]));
     }
     let _ = writeln!(out, "</svg><figcaption>{}</figcaption></figure>", escape(caption));
 }
@@ -202,7 +199,9 @@ mod tests {
             "peak_memory_bytes": 77,
         });
         let page = page(&report);
-        for wanted in ["a&lt;b&gt;.exr", "<svg", "slope -0.50", "x &amp; y", "1.25 s", "&quot;that&quot;", "77", "global"] {
+        for wanted in
+            ["a&lt;b&gt;.exr", "<svg", "slope -0.50", "x &amp; y", "1.25 s", "&quot;that&quot;", "77", "global"]
+        {
             assert!(page.contains(wanted), "{wanted} is missing from {page}");
         }
         assert_eq!(page.matches("<svg").count(), 2);

@@ -316,7 +316,8 @@ impl Job {
             self.first += 1;
         }
         if self.first < self.phases.len() {
-            let limit = if self.is_good_enough { Some(Limit::Error) } else { self.is_time_over(now).then_some(Limit::Time) };
+            let limit =
+                if self.is_good_enough { Some(Limit::Error) } else { self.is_time_over(now).then_some(Limit::Time) };
             if limit.is_none() {
                 let next = self.phases[self.first..].iter().take_while(|p| p.round() == round + 1);
                 if next.filter(|p| matches!(p, Phase::Emission { .. })).count() > 0 {

@@ -61,7 +61,9 @@ impl From<IntakeError> for Status {
             IntakeError::Job(_) => Status::invalid_argument(text),
             IntakeError::Blob(_) => Status::failed_precondition(text),
             IntakeError::Driver(SubmitError::Full(_) | SubmitError::Memory { .. }) => Status::resource_exhausted(text),
-            IntakeError::Driver(SubmitError::TimeLimit(_) | SubmitError::ErrorLimit(_)) => Status::invalid_argument(text),
+            IntakeError::Driver(SubmitError::TimeLimit(_) | SubmitError::ErrorLimit(_)) => {
+                Status::invalid_argument(text)
+            }
             IntakeError::Driver(SubmitError::Closed) => Status::unavailable(text),
             IntakeError::Internal(_) => Status::internal(text),
         }

@@ -186,10 +186,9 @@ impl TryFrom<wire::JobStats> for JobStats {
                 Ok(wire::Limit::Error) => Some(Limit::Error),
                 Err(_) => return Err(WireError::invalid("stats.ended_by", format!("{} is unknown here", s.ended_by))),
             },
-            noise: s.standard_error.map(|standard_error| Noise {
-                standard_error,
-                relative: s.relative_error.unwrap_or(f64::INFINITY),
-            }),
+            noise: s
+                .standard_error
+                .map(|standard_error| Noise { standard_error, relative: s.relative_error.unwrap_or(f64::INFINITY) }),
         })
     }
 }

@@ -28,7 +28,9 @@ enumeration!(Method, method, "method", Whitted, Path, Bdpt, Mlt, Photon, Progres
 enumeration!(Merge, merge, "merge", Shared, Independent);
 enumeration!(Estimator, estimator, "estimator", KdTree, Hash);
 enumeration!(Kernel, kernel, "kernel", Constant, Cone, Epanechnikov);
-enumeration!(Layer, layer, "layers", Direct, Indirect, Caustic, Albedo, Normal, Depth, Position, Variance, Samples, Strategies);
+enumeration!(
+    Layer, layer, "layers", Direct, Indirect, Caustic, Albedo, Normal, Depth, Position, Variance, Samples, Strategies
+);
 
 impl From<&RenderSettings> for wire::RenderSettings {
     fn from(s: &RenderSettings) -> Self {

@@ -95,7 +95,8 @@ impl Accumulator {
         let (row, width) = (self.film.grid.width as usize * n, self.film.grid.width as usize);
         let lines = self.film.pixels.par_chunks(row).zip(sums.values.par_chunks_mut(row));
         lines.zip(sums.squares.par_chunks_mut(width * 3)).for_each(|((line, sums), squares)| {
-            for ((pixel, sum), squares) in line.chunks_exact(n).zip(sums.chunks_exact_mut(n)).zip(squares.chunks_exact_mut(3))
+            for ((pixel, sum), squares) in
+                line.chunks_exact(n).zip(sums.chunks_exact_mut(n)).zip(squares.chunks_exact_mut(3))
             {
                 add_pixel(sum, squares, pixel, f64::from(weight), channels);
             }
@@ -304,7 +305,8 @@ mod tests {
     fn rounds_of_several_samples_weigh_by_their_number() {
         let channels = ChannelSet::new(&[Layer::Variance, Layer::Samples]);
         let mut a = Accumulator::new(GRID, channels, vec![2, 1, 3]);
-        for (number, (mean, variance, n)) in [(1.5, 0.5, 2.0), (3.0, 0.0, 1.0), (6.0, 7.0, 3.0)].into_iter().enumerate() {
+        for (number, (mean, variance, n)) in [(1.5, 0.5, 2.0), (3.0, 0.0, 1.0), (6.0, 7.0, 3.0)].into_iter().enumerate()
+        {
             round(&mut a, number as u32, &[mean, mean, mean, 1.0, variance, variance, variance, n], None);
         }
         // Between the rounds: 2 · 2.5² + 1 + 3 · 2² = 25.5, over 2 degrees of freedom and 6 samples.

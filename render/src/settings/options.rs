@@ -349,7 +349,10 @@ mod tests {
     #[test]
     fn a_layer_that_a_method_lacks_is_refused() {
         let error = Method::Bdpt.refuse_layers(&[Layer::Caustic, Layer::Depth]).unwrap_err().to_string();
-        assert_eq!(error, "--layers: method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies");
+        assert_eq!(
+            error,
+            "--layers: method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies"
+        );
         assert!(Method::Path.refuse_layers(&Layer::ALL).is_err());
         assert!(Method::Path.refuse_layers(Method::Photon.layers()).is_ok());
     }
