@@ -34,7 +34,7 @@ enum FilmState {
     /// No tile has come yet.
     Empty,
     /// Here.
-    Here(Accumulator),
+    Here(Box<Accumulator>),
     /// With the compute threads, which close a round.
     Closing,
 }
@@ -137,7 +137,7 @@ impl Live {
     }
     fn add_tiles(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
         if matches!(self.film, FilmState::Empty) {
-            self.film = FilmState::Here(self.prepared.accumulator());
+            self.film = FilmState::Here(Box::new(self.prepared.accumulator()));
         }
         match &mut self.film {
             FilmState::Here(film) if film.closed_rounds() == round => {
@@ -170,7 +170,7 @@ impl Live {
         Some(Round { round, film, light, empty, target: self.target })
     }
     /// Takes back the film of a closed round, and adds what came meanwhile of the next.
-    pub(super) fn closed(&mut self, film: Accumulator) -> Result<(), String> {
+    pub(super) fn closed(&mut self, film: Box<Accumulator>) -> Result<(), String> {
         let round = film.closed_rounds();
         self.film = FilmState::Here(film);
         std::mem::take(&mut self.early).into_iter().try_for_each(|(tiles, light)| self.add_tiles(round, tiles, light))
@@ -218,7 +218,7 @@ impl Live {
         self.mergers.clear();
         self.early.clear();
         let film = match std::mem::replace(&mut self.film, FilmState::Empty) {
-            FilmState::Here(film) => film,
+            FilmState::Here(film) => *film,
             FilmState::Empty | FilmState::Closing => self.prepared.accumulator(),
         };
         Parts {
@@ -235,7 +235,7 @@ impl Live {
 /// A round that is complete, on its way through the compute threads.
 pub(super) struct Round {
     round: u32,
-    film: Accumulator,
+    film: Box<Accumulator>,
     light: Option<Arc<LightSum>>,
     empty: Option<Arc<LightImage>>,
     target: Option<f32>,
@@ -259,7 +259,7 @@ impl Round {
         let noise = film.noise();
         let good =
             |n: Noise| film.closed_rounds() >= LEAST_ROUNDS && target.is_some_and(|t| n.relative <= f64::from(t));
-        Ok(ClosedRound { round, is_good_enough: noise.is_some_and(good), noise, film: Box::new(film) })
+        Ok(ClosedRound { round, is_good_enough: noise.is_some_and(good), noise, film })
     }
 }
 
@@ -371,7 +371,7 @@ mod tests {
                 live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
             }
             let closed = live.take_round(round).expect("is there").close().unwrap();
-            live.closed(*closed.film).unwrap();
+            live.closed(closed.film).unwrap();
             // As the scheduler has it: the next round's map is there before this round is over.
             if round > 0 {
                 live.retire(round - 1);

@@ -69,7 +69,7 @@ impl Driver {
         let Some(live) = job.live.as_mut() else { return };
         let result = closed.and_then(|c| {
             job.stats.noise = c.noise;
-            live.closed(*c.film).map(|()| (c.round, c.is_good_enough))
+            live.closed(c.film).map(|()| (c.round, c.is_good_enough))
         });
         match result {
             Ok((round, is_good_enough)) => self.event(Event::Closed { job: id, round, is_good_enough }),

@@ -104,7 +104,7 @@ fn plot(out: &mut String, points: &[[f64; 2]], caption: &str) {
     for (i, &(low, high)) in ranges.iter().enumerate() {
         for tick in ticks(low, high) {
             let at = place(i, tick);
-            let label = if tick >= 0.01 && tick < 1e4 { format!("{tick}") } else { format!("{tick:.0e}") };
+            let label = if (0.01..1e4).contains(&tick) { format!("{tick}") } else { format!("{tick:.0e}") };
             let _ = if i == 0 {
                 let y = bottom + 16.0;
                 write!(
