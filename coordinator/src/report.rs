@@ -188,7 +188,7 @@ impl Report {
     /// For scripts; units are the last part of a name.
     pub fn json(&self) -> Value {
         json!({
-            "gatherlight": env!("CARGO_PKG_VERSION"),
+            "gatherlight": gatherlight_render::VERSION,
             "text": self.summary.text(),
             "summary": self.summary.json(),
             "timeline": self.timeline.json(),

@@ -281,7 +281,7 @@ impl PreparedJob {
                 }
                 Phase::Gather { tiles, .. } => {
                     let tile = |index| {
-                        let mut own = (self.settings.method == Method::Vcm).then(|| self.light_image()).flatten();
+                        let mut own = self.settings.method.splats().then(|| self.light_image()).flatten();
                         (self.gather(&inputs, round, index, own.as_mut()), own)
                     };
                     let tiles: Vec<_> = (0..tiles).into_par_iter().with_max_len(1).map(tile).collect();

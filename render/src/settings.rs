@@ -417,9 +417,7 @@ impl RenderSettings {
         if self.method.has_rounds() {
             return round..round + 1;
         }
-        let all = self.gather_rounds() == 1;
-        let pass = if all { None } else { self.passes().nth(round as usize) };
-        pass.unwrap_or(if all { 0..self.samples } else { self.samples..self.samples })
+        self.passes().nth(round as usize).unwrap_or(self.samples..self.samples)
     }
 
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.

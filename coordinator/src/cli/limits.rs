@@ -27,16 +27,16 @@ fn parse_share(text: &str) -> Result<f32, String> {
 }
 
 impl LimitArgs {
-    /// The limits of a job that can end early, or not, and that has so many rounds to know its error by.
+    /// The limits of a job that can end early, or not, and whose error will be known, or not.
     ///
     /// # Errors
     /// When there is a limit that can never end the job.
-    pub(super) fn limits(self, can_end_early: bool, rounds: u32) -> Result<Limits, CliError> {
+    pub(super) fn limits(self, can_end_early: bool, knows_error: bool) -> Result<Limits, CliError> {
         if self.time_limit.is_some() && !can_end_early {
             let text = "--time-limit ends a job between two rounds or Markov chains, and this one has a single round";
             return Err(CliError::Usage(text.into()));
         }
-        if self.target_error.is_some() && rounds == 1 {
+        if self.target_error.is_some() && !knows_error {
             let text = "--target-error needs rounds to know the error by, and this job has a single one: leave out --merge \
                         independent, take another method than mlt, or more than one sample";
             return Err(CliError::Usage(text.into()));

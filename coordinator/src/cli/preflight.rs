@@ -5,7 +5,7 @@ use super::format::bytes;
 use super::progress::warn;
 use super::scene::Loaded;
 use crate::report;
-use crate::schedule::job::can_end_early;
+use crate::schedule::job::{can_end_early, closes_rounds};
 use gatherlight_render::auto::Choice;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::plan::{EmissionPlan, Plan};
@@ -25,8 +25,8 @@ pub(super) struct Preflight {
     pub(super) json: Value,
     /// Whether a limit can end the job before all its work is done.
     pub(super) can_end_early: bool,
-    /// Rounds of tiles.
-    pub(super) rounds: u32,
+    /// Whether its error will be known, by rounds that can be compared.
+    pub(super) knows_error: bool,
 }
 
 impl Preflight {
@@ -40,6 +40,7 @@ impl Preflight {
 
     /// The same of a job that is prepared already, by the method of `choice`.
     pub(super) fn of(job: &PreparedJob, choice: &Choice) -> Self {
+        let phases = job.phases();
         let method = format!("method: {} — {}", choice.method.name(), choice.reason);
         Preflight {
             digest: job.scene_digest().to_string(),
@@ -47,8 +48,8 @@ impl Preflight {
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
             json: plan_json(job, choice),
-            can_end_early: can_end_early(&job.phases()),
-            rounds: job.rounds(),
+            can_end_early: can_end_early(&phases),
+            knows_error: closes_rounds(&phases),
         }
     }
 

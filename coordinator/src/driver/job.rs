@@ -74,8 +74,8 @@ impl JobRecord {
         let live = Live::new(&spec, sink);
         let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
-        let (prepared_rounds, tiles) =
-            (prepared.rounds(), u64::from(prepared.grid().len()) * u64::from(prepared.rounds()));
+        let prepared_rounds = prepared.rounds();
+        let tiles = u64::from(grid.len()) * u64::from(prepared_rounds);
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
         let about = About::new(&prepared, phases);
         let maps = map_stats(phases);
@@ -189,13 +189,16 @@ impl JobRecord {
         match in_stage(Stage::Working).next() {
             Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => (JobState::Splat, done(s)),
             Some(s) => self.gathering(job, round, workers, done(s)),
-            None if self.rounds == 1 => (JobState::Gather, (job.total(Kind::Gather).units, self.tiles)),
-            None => (JobState::Gather, (0, 0)),
+            None => (JobState::Gather, self.tiles_done(job, (0, 0))),
         }
+    }
+    /// Tiles done and in all: those of the round, or of all passes.
+    fn tiles_done(&self, job: &Job, of_round: (u64, u64)) -> (u64, u64) {
+        if self.rounds == 1 { (job.total(Kind::Gather).units, self.tiles) } else { of_round }
     }
     /// The state of a gather phase: maps are on their way until the first tiles are there.
     fn gathering(&self, job: &Job, round: u32, workers: u64, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
-        let tiles = if self.rounds == 1 { (job.total(Kind::Gather).units, self.tiles) } else { tiles };
+        let tiles = self.tiles_done(job, tiles);
         let bytes: u64 = job.maps(round).iter().map(|m| m.bytes).sum();
         let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes * workers.max(1));
         if tiles.0 == 0 && bytes > 0 && sent < total {

@@ -40,6 +40,7 @@ enum FilmState {
 }
 
 /// The light image and its sum so far, of the round in the making.
+#[derive(Clone)]
 struct LightParts {
     empty: Arc<LightImage>,
     sum: Arc<LightSum>,
@@ -163,11 +164,7 @@ impl Live {
     /// What `round` is closed with, once all of its tiles are there: the film and what was splatted.
     pub(super) fn take_round(&mut self, round: u32) -> Option<Round> {
         let FilmState::Here(film) = std::mem::replace(&mut self.film, FilmState::Closing) else { return None };
-        let (light, empty) = match &self.light {
-            Some(parts) => (Some(parts.sum.clone()), Some(parts.empty.clone())),
-            None => (None, None),
-        };
-        Some(Round { round, film, light, empty, target: self.target })
+        Some(Round { round, film, light: self.light.clone(), target: self.target })
     }
     /// Takes back the film of a closed round, and adds what came meanwhile of the next.
     pub(super) fn closed(&mut self, film: Box<Accumulator>) -> Result<(), String> {
@@ -236,8 +233,7 @@ impl Live {
 pub(super) struct Round {
     round: u32,
     film: Box<Accumulator>,
-    light: Option<Arc<LightSum>>,
-    empty: Option<Arc<LightImage>>,
+    light: Option<LightParts>,
     target: Option<f32>,
 }
 
@@ -247,14 +243,12 @@ impl Round {
     /// # Errors
     /// When tiles are missing, or a light image is of another job.
     pub(super) fn close(self) -> Result<ClosedRound, String> {
-        let Round { round, mut film, light, empty, target } = self;
+        let Round { round, mut film, light, target } = self;
         if film.closed_rounds() != round || !film.is_round_complete() {
             return Err(format!("tiles are missing from round {round}"));
         }
-        let light = match (light, empty) {
-            (Some(sum), Some(empty)) => Some(sum.finish(LightImage::clone(&empty)).map_err(|e| e.to_string())?),
-            _ => None,
-        };
+        let sum = |parts: LightParts| parts.sum.finish(LightImage::clone(&parts.empty)).map_err(|e| e.to_string());
+        let light = light.map(sum).transpose()?;
         film.close(light.as_ref());
         let noise = film.noise();
         let good =

@@ -16,7 +16,7 @@ pub(crate) use handle::{Built, Image, Made};
 
 use crate::compute::Compute;
 use crate::random::random_u64;
-use crate::schedule::job::can_end_early;
+use crate::schedule::job::{can_end_early, closes_rounds};
 use crate::schedule::{Command, Event, Policy, Scheduler};
 use crate::store::Store;
 use crate::types::JobId;
@@ -187,7 +187,7 @@ impl Driver {
         if spec.limits.time.is_some() && !can_end_early(&phases) {
             return Err(SubmitError::TimeLimit(spec.settings.method.name()));
         }
-        if spec.limits.error.is_some() && spec.prepared.rounds() == 1 {
+        if spec.limits.error.is_some() && !closes_rounds(&phases) {
             return Err(SubmitError::ErrorLimit(spec.settings.method.name()));
         }
         let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);

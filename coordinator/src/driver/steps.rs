@@ -19,8 +19,7 @@ impl Driver {
     pub(super) fn build(&mut self, id: JobId, phase: Phase) {
         let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
         let (own, sink) = (self.own.clone(), live.sink());
-        let to_built = own.clone();
-        let built = move |result| report(&to_built, Input::Built(id, phase.round(), flat(result)));
+        let built = move |result| report(&own, Input::Built(id, phase.round(), flat(result)));
         match phase {
             Phase::Emission { round, map, paths } => {
                 let (merger, prepared) = live.take_photons(round, map, paths);
@@ -32,6 +31,7 @@ impl Driver {
             }
             Phase::Gather { round, .. } => {
                 let Some(round) = live.take_round(round) else { return };
+                let own = self.own.clone();
                 let closed = move |result| report(&own, Input::Closed(id, flat(result)));
                 self.compute.spawn(move || round.close(), closed);
             }

@@ -77,7 +77,7 @@ fn errors(out: &mut String, timeline: &Value) {
     {
         let points = points(time);
         if points.len() < 2 {
-            out.push_str("<p>The error is not known: fewer than three rounds were compared.</p>\n");
+            out.push_str("<p>The error is not known at more than one moment.</p>\n");
             return;
         }
         let fitted = timeline[slope].as_f64().map_or(String::new(), |s| format!(", slope {s:.2}"));

@@ -15,7 +15,7 @@ pub struct ErrorPoint {
     pub rounds: u32,
     /// Standard error, in radiance.
     pub standard_error: f64,
-    /// The same over the image's mean.
+    /// The same relative to each pixel, see [`Noise`](gatherlight_render::film::Noise).
     pub relative: f64,
 }
 

@@ -122,6 +122,11 @@ pub fn can_end_early(phases: &[Phase]) -> bool {
     round(phases.first()) != round(phases.last()) || phases.iter().any(|p| matches!(p, Phase::Splat { .. }))
 }
 
+/// Whether a job with these phases has rounds that are closed one by one, and so can be compared: several gathers.
+pub fn closes_rounds(phases: &[Phase]) -> bool {
+    phases.iter().filter(|p| Kind::of(**p) == Kind::Gather).nth(1).is_some()
+}
+
 /// Whether the phases are rounds 0, 1, … of emissions with one gather behind them; the first may have a splat phase,
 /// with or without a bootstrap before it.
 fn make_sense(phases: &[Phase]) -> bool {
@@ -272,7 +277,7 @@ impl Job {
             self.end_splats();
         }
         self.begin();
-        let (first, closes_rounds) = (self.round(), self.closes_rounds());
+        let (first, closes_rounds) = (self.round(), closes_rounds(&self.phases));
         for step in self.window.iter_mut().filter(|s| s.stage == Stage::Working && s.work.is_complete()) {
             match step.work.phase {
                 phase @ (Phase::Emission { .. } | Phase::Bootstrap { .. }) => {
@@ -289,10 +294,6 @@ impl Job {
             }
         }
         self.end_round(now)
-    }
-    /// Whether rounds are closed one by one: there are several.
-    fn closes_rounds(&self) -> bool {
-        self.phases.iter().filter(|p| Kind::of(**p) == Kind::Gather).nth(1).is_some()
     }
     /// Moves the window on to the phases of the present round and the next.
     fn begin(&mut self) {

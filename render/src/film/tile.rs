@@ -120,10 +120,7 @@ impl Film {
     ///
     /// # Errors
     /// When there is no such tile, or its size is wrong.
-    pub(super) fn rows<'t>(
-        &self,
-        tile: &'t Tile,
-    ) -> Result<impl Iterator<Item = (usize, &'t [f32])> + use<'t>, TileError> {
+    fn rows<'t>(&self, tile: &'t Tile) -> Result<impl Iterator<Item = (usize, &'t [f32])> + use<'t>, TileError> {
         let rect = self.grid.rect(tile.index).ok_or(TileError::Outside(tile.index))?;
         let n = self.channels.len();
         let expected = rect.width as usize * rect.height as usize * n;

@@ -91,15 +91,21 @@ fn work_of_an_earlier_phase_goes_before_work_of_a_later_one() {
     assert_eq!(b.scheduler.lease(LeaseId(4)).map(|l| l.lease.task.clone()), Some(tiles(0)));
 }
 
-#[test]
-fn a_time_limit_ends_a_job_between_two_rounds() {
-    let mut b = submit(policy(), rounds(9, 10, 1), LIMIT);
+/// Nine rounds of one tile: A has that of round 0, both maps of rounds 0 and 1 are built, and B goes on with what is open.
+fn with_two_maps(limits: Limits) -> Bench {
+    let mut b = submit(policy(), rounds(9, 10, 1), limits);
     b.join(A);
     b.join(B);
     b.complete(A, 1);
     b.event(built(0, map(0)));
     b.complete(B, 2);
     b.event(built(1, map(1)));
+    b
+}
+
+#[test]
+fn a_time_limit_ends_a_job_between_two_rounds() {
+    let mut b = with_two_maps(LIMIT);
     // Round 0's tile is out; the limit is reached before it comes back.
     b.now = seconds(61);
     b.event(Event::Heard { worker: A });
@@ -136,13 +142,7 @@ fn what_is_out_when_a_limit_ends_the_job_is_revoked() {
 
 #[test]
 fn an_image_that_is_good_enough_ends_its_job_with_the_rounds_that_are_closed() {
-    let mut b = submit(policy(), rounds(9, 10, 1), Limits::default());
-    b.join(A);
-    b.join(B);
-    b.complete(A, 1);
-    b.event(built(0, map(0)));
-    b.complete(B, 2);
-    b.event(built(1, map(1)));
+    let mut b = with_two_maps(Limits::default());
     // B renders round 1's tile while A's of round 0 comes back and the round is closed.
     assert_eq!(b.scheduler.lease(LeaseId(4)).map(|l| l.lease.task.clone()), Some(tiles(1)));
     assert_eq!(b.complete(A, 3)[..2], [accept(3), close(0, 1)]);
