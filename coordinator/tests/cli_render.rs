@@ -158,7 +158,7 @@ fn a_target_error_ends_a_job_or_is_refused() {
     assert_eq!(image(&dir.path().join("x.exr")).attributes["gatherlight:samples"], "8");
     for (more, message) in [
         ("--method path --samples 1 --target-error 1%", "--target-error needs rounds to know the error by"),
-        ("--method mlt --target-error 1%", "another method than mlt"),
+        ("--method mlt --chains 1 --target-error 1%", "more than one sample, round or chain"),
         ("--target-error 0", "is no error above 0"),
         ("--target-error x%", "is no error above 0"),
     ] {
