@@ -94,9 +94,17 @@ pub fn course(
     reference: Option<&[Rgb]>,
 ) -> Result<Course, JobError> {
     let pilot = run(bundle, &with_parts(settings, parts_of(settings).min(PILOT_PARTS)), time, None)?;
-    let rate = pilot.last().map_or(0.0, |p| p.parts as f64 / p.elapsed.as_secs_f64().max(1e-6));
-    // Maps and bootstrap of methods that make them once are counted as if they were parts: a run never takes longer for that.
-    let parts = (rate * time.as_secs_f64()).clamp(f64::from(PILOT_PARTS), f64::from(MAX_PARTS)) as u32;
+    // The first round comes with the maps or the bootstrap of methods that make them once.
+    let parts = match (pilot.points.first(), pilot.last()) {
+        (Some(first), Some(last)) if last.parts > first.parts => {
+            let seconds = last.elapsed.saturating_sub(first.elapsed).as_secs_f64();
+            let rate = (last.parts - first.parts) as f64 / seconds.max(1e-6);
+            let rest = time.saturating_sub(first.elapsed).as_secs_f64();
+            rate * rest
+        }
+        _ => 0.0,
+    };
+    let parts = parts.clamp(f64::from(PILOT_PARTS), f64::from(MAX_PARTS)) as u32;
     run(bundle, &with_parts(settings, parts), time, reference)
 }
 

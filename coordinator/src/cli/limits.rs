@@ -2,8 +2,10 @@
 
 use super::error::CliError;
 use super::format::parse_duration;
+use super::progress::warn;
 use crate::types::Limits;
 use clap::Args;
+use gatherlight_render::settings::Method;
 use std::time::Duration;
 
 /// Limits of a job.
@@ -27,17 +29,23 @@ fn parse_share(text: &str) -> Result<f32, String> {
 }
 
 impl LimitArgs {
-    /// The limits of a job that has several rounds, or not.
+    /// The limits of a job by `method` that has several rounds, or not.
     ///
     /// # Errors
     /// When there is a limit that can never end the job.
-    pub(super) fn limits(self, has_rounds: bool) -> Result<Limits, CliError> {
+    pub(super) fn limits(self, method: Method, has_rounds: bool) -> Result<Limits, CliError> {
         let more = "this job has a single one: take more than one sample, round or chain";
         if self.time_limit.is_some() && !has_rounds {
             return Err(CliError::Usage(format!("--time-limit ends a job between two rounds, and {more}")));
         }
         if self.target_error.is_some() && !has_rounds {
             return Err(CliError::Usage(format!("--target-error needs rounds to know the error by, and {more}")));
+        }
+        if self.target_error.is_some() && method == Method::Photon {
+            warn(
+                "--target-error: all passes read the same photon maps, whose own noise and blur are not in the error; method \
+                 progressive knows both",
+            );
         }
         Ok(Limits { time: self.time_limit, error: self.target_error })
     }

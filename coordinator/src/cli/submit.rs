@@ -55,7 +55,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let loaded = args.scene.load()?;
     let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
-    let limits = args.limits.limits(preflight.has_rounds)?;
+    let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
     args.messages.note(&preflight.text());
     let Loaded { bundle, settings, .. } = loaded;
     let Preflight { plan, warnings, .. } = preflight;

@@ -116,14 +116,16 @@ pub fn plot(out: &mut String, curves: &[Curve], caption: &str) {
         let pad = 0.05 * (high - low).max(0.1);
         (low - pad, high + pad)
     };
+    // The legend stands beside the curves.
+    let right = WIDTH - if curves.len() > 1 { 2.0 } else { 0.5 } * MARGIN;
     let ranges = [range(0), range(1)];
     let place = |i: usize, value: f64| {
         let (low, high) = ranges[i];
         let share = (value.log10() - low) / (high - low);
-        if i == 0 { MARGIN + share * (WIDTH - 1.5 * MARGIN) } else { HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN) }
+        if i == 0 { MARGIN + share * (right - MARGIN) } else { HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN) }
     };
     let _ = write!(out, "<figure><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">");
-    let (left, right, top, bottom) = (MARGIN, WIDTH - 0.5 * MARGIN, 0.5 * MARGIN, HEIGHT - MARGIN);
+    let (left, top, bottom) = (MARGIN, 0.5 * MARGIN, HEIGHT - MARGIN);
     for (i, &(low, high)) in ranges.iter().enumerate() {
         for tick in ticks(low, high) {
             let at = place(i, tick);
@@ -155,7 +157,7 @@ pub fn plot(out: &mut String, curves: &[Curve], caption: &str) {
             let _ = write!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{colour}\"/>");
         }
         if curves.len() > 1 {
-            let (x, y, name) = (right - 90.0, top + 16.0 * (i as f64 + 1.0), escape(&curve.name));
+            let (x, y, name) = (right + 8.0, top + 16.0 * (i as f64 + 1.0), escape(&curve.name));
             let _ = write!(
                 out,
                 "<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"4\" fill=\"{colour}\"/><text x=\"{}\" y=\"{y}\">{name}</text>",
