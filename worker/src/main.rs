@@ -68,7 +68,8 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let ansi = std::io::IsTerminal::is_terminal(&std::io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(ansi).with_writer(std::io::stderr).init();
     let code = |error: &WorkerError| if matches!(error, WorkerError::Url { .. }) { 2 } else { 1 };
     match start(arguments) {
         Ok(()) => ExitCode::SUCCESS,

@@ -284,11 +284,15 @@ impl Accumulator {
         self.blur.as_ref()?.bias(self.mean_value()?)
     }
 
-    /// The noise of the mean of the closed rounds, by what its blocks differ; `None` for fewer than two.
+    /// The noise of the mean of the closed rounds, by what its blocks differ; `None` for fewer than two, or for
+    /// Markov chains of fewer mutations than pixels.
     pub fn noise(&self) -> Option<Noise> {
         let sums = self.sums.as_ref()?;
         let (samples, n) = (self.samples() as f64, self.film.channels.len());
-        if sums.compared < 2 {
+        // Chains that have not even had a step for each pixel do not know what they have not seen.
+        let pixels = u64::from(self.film.grid.width) * u64::from(self.film.grid.height);
+        let unseen = self.mutations.total() > 0 && self.mutations.total() < pixels;
+        if sums.compared < 2 || unseen {
             return None;
         }
         let size = [self.film.grid.width as usize, self.film.grid.height as usize];
