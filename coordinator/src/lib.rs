@@ -22,6 +22,7 @@ pub mod report;
 pub mod schedule;
 pub mod server;
 mod service;
+pub mod stability;
 pub mod store;
 pub mod types;
 

@@ -22,6 +22,7 @@ mod render;
 mod scene;
 mod serve;
 mod settings;
+mod stability;
 mod submit;
 mod watch;
 mod workers;
@@ -72,6 +73,7 @@ enum Command {
     Fetch(fetch::FetchArgs),
     Cancel(cancel::CancelArgs),
     Workers(workers::WorkersArgs),
+    Stability(stability::StabilityArgs),
     Completions(completions::CompletionsArgs),
 }
 
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
         Command::Fetch(args) => fetch::run(&args),
         Command::Cancel(args) => cancel::run(&args),
         Command::Workers(args) => workers::run(&args),
+        Command::Stability(args) => stability::run(&args),
         Command::Completions(args) => completions::run(&args),
     };
     match result {
