@@ -5,8 +5,10 @@ use gatherlight_render::settings::{Method, RenderSettings};
 
 /// Photon paths of each map, over all rounds, before the effort's factor.
 const PATHS: u64 = 5_000;
-/// Light paths of a round of `vcm`, whose rounds have as many as pixels in pictures.
+/// Light paths of a round of `vcm` by pixels: many where one pixel is all there is.
 const LIGHT_PATHS: u64 = 512;
+/// Fewest light paths of a round of `vcm`.
+const MIN_LIGHT_PATHS: u64 = 64;
 
 /// The settings of `case` by `method`, with `seed`.
 pub(super) fn settings(case: &Case, method: Method, effort: &Effort, seed: u64) -> RenderSettings {
@@ -38,7 +40,8 @@ pub(super) fn settings(case: &Case, method: Method, effort: &Effort, seed: u64) 
         }
         Method::Vcm => {
             let rounds = if photons == 1 { 1 } else { 16 * work };
-            let photons = if photons == 1 { 1 } else { LIGHT_PATHS * u64::from(rounds) };
+            let paths = (LIGHT_PATHS / u64::from(case.side * case.side)).max(MIN_LIGHT_PATHS);
+            let photons = if photons == 1 { 1 } else { paths * u64::from(rounds) };
             RenderSettings { rounds, photons, caustic_photons: 0, max_radius, ..base }
         }
     }

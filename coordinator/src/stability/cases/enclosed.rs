@@ -18,9 +18,17 @@ pub(super) fn cases() -> Vec<Case> {
     let mut all = vec![
         furnace("enclosure, albedo 0.5", 0.5, 1.0).without(whitted, why),
         furnace("enclosure, albedo 0.9", 0.9, 1.0).without(whitted, why),
-        furnace("enclosure, albedo 0.99", 0.99, 1.0).photons(10_000).without(whitted, why),
-        furnace("enclosure, albedo 0.999", 0.999, 1.0).without(whitted, why).limited(paths, CUT).large(),
-        furnace("enclosure, albedo 0.9999", 0.9999, 1.0).without(whitted, why).limited(paths, CUT).large(),
+        furnace("enclosure, albedo 0.99", 0.99, 1.0).samples(2).photons(20_000).without(whitted, why).large(),
+        furnace("enclosure, albedo 0.999", 0.999, 1.0)
+            .photons(10_000)
+            .without(whitted, why)
+            .limited(paths, CUT)
+            .large(),
+        furnace("enclosure, albedo 0.9999", 0.9999, 1.0)
+            .photons(10_000)
+            .without(whitted, why)
+            .limited(paths, CUT)
+            .large(),
         furnace("enclosure of radiance 1e-20", 0.5, 1e-20).without(whitted, why),
         furnace("enclosure of radiance 1e20", 0.5, 1e20).without(whitted, why),
         furnace("enclosure of black walls", 0.0, 1.0),

@@ -64,5 +64,5 @@ fn slab(name: &str, ior: f64) -> Case {
     glb.camera([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], 0.002);
     let r = ((ior - 1.0) / (ior + 1.0)) * ((ior - 1.0) / (ior + 1.0));
     Case::new(name, "a slab before a lamp, at normal incidence", glb, mean((1.0 - r) / (1.0 + r)))
-        .samples(if ior > 2.0 { 48 } else { 1 })
+        .samples(if ior > 2.0 { 64 } else { 1 })
 }
