@@ -23,6 +23,7 @@ pub mod report;
 pub mod schedule;
 pub mod server;
 mod service;
+pub mod stability;
 pub mod store;
 pub mod types;
 

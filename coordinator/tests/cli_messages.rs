@@ -128,8 +128,20 @@ fn an_output_that_cannot_be_written_is_found_before_the_work() {
 #[test]
 fn help_has_examples_and_every_command_has_help() {
     let dir = tempfile::tempdir().unwrap();
-    let commands =
-        ["render", "plan", "compare", "serve", "submit", "jobs", "watch", "fetch", "cancel", "workers", "completions"];
+    let commands = [
+        "render",
+        "plan",
+        "compare",
+        "serve",
+        "submit",
+        "jobs",
+        "watch",
+        "fetch",
+        "cancel",
+        "workers",
+        "stability",
+        "completions",
+    ];
     let all = run(dir.path(), "--help");
     for name in commands {
         assert!(all.out.contains(&format!("\n  {name} ")), "{name} in {}", all.out);

@@ -23,6 +23,7 @@ mod render;
 mod scene;
 mod serve;
 mod settings;
+mod stability;
 mod submit;
 mod watch;
 mod workers;
@@ -75,6 +76,7 @@ enum Command {
     Fetch(fetch::FetchArgs),
     Cancel(cancel::CancelArgs),
     Workers(workers::WorkersArgs),
+    Stability(stability::StabilityArgs),
     Completions(completions::CompletionsArgs),
 }
 
@@ -104,6 +106,7 @@ pub fn main() -> ExitCode {
         Command::Fetch(args) => fetch::run(&args),
         Command::Cancel(args) => cancel::run(&args),
         Command::Workers(args) => workers::run(&args),
+        Command::Stability(args) => stability::run(&args),
         Command::Completions(args) => completions::run(&args),
     };
     match result {

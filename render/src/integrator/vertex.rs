@@ -124,7 +124,7 @@ impl<'a> Start<'a> {
         Start { origin: Origin::Camera { camera, light_paths }, ray, throughput: Rgb::WHITE }
     }
 
-    /// A light sub-path: chooses a light in proportion to its power, a point and a direction. Takes five numbers.
+    /// A light sub-path: chooses a light by its power, a point and a direction. Takes five numbers.
     #[inline]
     pub fn light(scene: &'a Scene, numbers: &mut impl Numbers) -> Option<Self> {
         let (u_light, u_position, u_direction) = (numbers.next_1d(), numbers.next_2d(), numbers.next_2d());

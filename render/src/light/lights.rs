@@ -3,7 +3,11 @@
 use super::{AreaLight, EmissiveTriangle, Light, LightContext};
 use crate::math::{AliasTable, Rgb};
 
-/// Chooses lights in proportion to their power.
+/// Share of the choice that goes to all lights that emit, each alike. By power alone, what only a dim light reaches would stay
+/// black beside a bright one: at a ratio of 1e12, for 1e12 samples. The brightest loses this share of its samples at most.
+const EVEN_SHARE: f64 = 1.0 / 16.0;
+
+/// Chooses lights in proportion to their power, and for a small share without regard to it.
 #[derive(Clone, Debug)]
 pub struct LightSelector {
     table: Option<AliasTable>,
@@ -12,10 +16,14 @@ pub struct LightSelector {
 impl LightSelector {
     /// A selector for lights of these powers: the mean over the channels counts.
     pub fn new(powers: &[Rgb]) -> LightSelector {
-        // In f64 the sum of three large channels cannot overflow.
-        let weights: Vec<f64> =
-            powers.iter().map(|p| (f64::from(p.r) + f64::from(p.g) + f64::from(p.b)) / 3.0).collect();
-        LightSelector { table: AliasTable::new(&weights) }
+        // In f64 the sum of three large channels cannot overflow, and neither can that of all lights.
+        let mean = |p: &Rgb| (f64::from(p.r) + f64::from(p.g) + f64::from(p.b)) / 3.0;
+        let emits = |w: f64| w.is_finite() && w > 0.0;
+        let own: Vec<f64> = powers.iter().map(mean).map(|w| if emits(w) { w } else { 0.0 }).collect();
+        let lit = own.iter().filter(|&&w| w > 0.0).count();
+        let (total, each) = (own.iter().sum::<f64>(), EVEN_SHARE / lit.max(1) as f64);
+        let weight = |w: &f64| if *w > 0.0 { (1.0 - EVEN_SHARE) * (w / total) + each } else { 0.0 };
+        LightSelector { table: AliasTable::new(&own.iter().map(weight).collect::<Vec<f64>>()) }
     }
     /// A light and its probability; `None` if nothing emits.
     #[inline]
@@ -70,7 +78,7 @@ impl Lights {
     pub fn get(&self, i: usize) -> Option<&Light> {
         self.lights.get(i)
     }
-    /// The choice in proportion to power.
+    /// The choice among them.
     #[inline]
     pub fn selector(&self) -> &LightSelector {
         &self.selector
@@ -94,5 +102,34 @@ impl Lights {
             std::array::from_fn(|k| s[k] + f64::from(p[k]))
         });
         Rgb::from(sum.map(|v| v as f32))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dim_light_keeps_its_share_beside_a_bright_one() {
+        let powers = [1e12f32, 1.0, 0.0, f32::NAN, 1e-20].map(Rgb::splat);
+        let selector = LightSelector::new(&powers);
+        let pmf = |i| f64::from(selector.pmf(i));
+        assert_eq!([pmf(2), pmf(3)], [0.0; 2]);
+        for (i, expected) in [(0, 15.0 / 16.0 + 1.0 / 48.0), (1, 1.0 / 48.0), (4, 1.0 / 48.0)] {
+            assert!((pmf(i) - expected).abs() < 1e-6, "{i}: {}", pmf(i));
+        }
+        // The numbers that paths choose by are of single precision: they must find it as often as its probability says.
+        let n = 1 << 20;
+        let found = (0..n).filter(|k| selector.sample(*k as f32 / n as f32).is_some_and(|(i, _)| i == 4)).count();
+        assert!((found as f64 / f64::from(n) - 1.0 / 48.0).abs() < 1e-5, "{found}");
+    }
+
+    #[test]
+    fn equal_lights_are_chosen_alike_and_powers_of_two_change_nothing() {
+        let powers = |f: f32| [3.0, 0.5, 7.0].map(|w| Rgb::splat(w * f));
+        let [a, b] = [1.0, 1.0 / 1024.0].map(|f| LightSelector::new(&powers(f)));
+        assert!((0..3).all(|i| a.pmf(i) == b.pmf(i)));
+        assert_eq!(LightSelector::new(&[Rgb::WHITE; 4]).pmf(2), 0.25);
+        assert!(LightSelector::new(&[Rgb::BLACK; 2]).is_empty());
     }
 }

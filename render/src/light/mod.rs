@@ -1,4 +1,4 @@
-//! Lights: emissive triangles, point, spot and directional lights, and their choice in proportion to power.
+//! Lights: emissive triangles, point, spot and directional lights, and their choice by power.
 //!
 //! Everything is in scene space. `sample_li` looks from a point towards a light (next-event estimation), `sample_le`
 //! starts a photon path at it. Quantities: radiance L per channel, intensity I of point and spot lights, irradiance E of

@@ -122,7 +122,7 @@ impl Emission<'_> {
     }
 }
 
-/// Chooses a light in proportion to its power and emits into all directions.
+/// Chooses a light by its power and emits into all directions.
 fn emit_by_power(scene: &Scene, sampler: &mut Sampler) -> Option<EmissionSample> {
     let (u_light, u_position, u_direction) = (sampler.next_1d(), sampler.next_2d(), sampler.next_2d());
     let (index, pmf) = scene.lights.selector().sample(u_light)?;
