@@ -4,7 +4,7 @@ use super::error::CliError;
 use super::settings::{SettingsArgs, camera_aspect};
 use clap::Args;
 use gatherlight_render::auto::Choice;
-use gatherlight_render::import::{self, SceneBundle};
+use gatherlight_render::import::{self, SceneBundle, Wanted};
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::RenderSettings;
@@ -43,9 +43,12 @@ impl SceneArgs {
         let args = &self.settings;
         // Nonsense in the options is found before a large scene is read.
         args.check()?;
-        let bundle = read_bundle(&self.scene)?;
+        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let bundle = read_bundle_for(&self.scene, wanted)?;
         let description = if args.needs_scene() {
-            import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?
+            // Method and size do not depend on what images hold.
+            let outline = Wanted { images: false, ..wanted };
+            import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?
         } else {
             SceneDescription::default()
         };
@@ -61,14 +64,14 @@ impl SceneArgs {
     }
 }
 
-/// Reads the scene at `path` with the external files it names, relative to its directory.
+/// Reads the scene at `path` with the external files that what is `wanted` needs, relative to its directory.
 ///
 /// # Errors
 /// When a file cannot be read, with its path and what named it.
-pub(super) fn read_bundle(path: &Path) -> Result<SceneBundle, CliError> {
+fn read_bundle_for(path: &Path, wanted: Wanted) -> Result<SceneBundle, CliError> {
     let root = read(path, None)?;
     let name = path.file_name().map_or_else(|| path.to_string_lossy(), |n| n.to_string_lossy()).into_owned();
-    let uris = import::external_uris(&name, &root).map_err(|e| CliError::Failed(e.to_string()))?;
+    let uris = import::external_uris_for(&name, &root, wanted).map_err(|e| CliError::Failed(e.to_string()))?;
     let directory = path.parent().unwrap_or(Path::new(""));
     let mut externals = Vec::with_capacity(uris.len());
     for uri in uris {
