@@ -269,7 +269,9 @@ impl<'r, 'a> MeshReader<'r, 'a> {
         count: usize,
         mesh: &mut Mesh,
     ) -> Result<()> {
-        for (name, set) in ["TEXCOORD_0", "TEXCOORD_1"].into_iter().zip(0..) {
+        // A set that a texture claims stays as it is, also where the mesh lacks it.
+        let claimed = self.materials.uv_sources.get(mesh.material as usize).map_or(0, Vec::len);
+        for (name, set) in ["TEXCOORD_0", "TEXCOORD_1"].into_iter().zip(0..).skip(claimed) {
             if mesh.uvs.get(set).is_some_and(Option::is_none)
                 && let Some(layout) = self.attribute(attributes, name, &[2], Some(count))?
             {
