@@ -148,6 +148,7 @@ impl PreparedJob {
         let mut scene = builder::build(description)?;
         // Testing every hit for holes finds none where there are none.
         scene.has_alpha_masks |= settings.keep_all;
+        scene.has_absorption |= settings.keep_all;
         let (width, height) = (settings.width, settings.height);
         let (camera, note) = builder::choose_camera(&cameras, bounds, &scene.space, &settings.camera, width, height)?;
         let mut warnings = std::mem::take(&mut scene.warnings);
