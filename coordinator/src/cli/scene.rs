@@ -8,6 +8,7 @@ use gatherlight_render::import::{self, SceneBundle, Wanted};
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::RenderSettings;
+use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -101,7 +102,20 @@ fn read(path: &Path, named_by: Option<&str>) -> Result<Arc<[u8]>, CliError> {
         let limit = format!("over the limit of {MAX_FILE_BYTES} (MAX_FILE_BYTES, fixed at build time)");
         return Err(fail(format!("{shown}{by} has {} bytes, {limit}", meta.len())));
     }
-    std::fs::read(path).map(Arc::from).map_err(unreadable)
+    read_once(path, meta.len()).map_err(unreadable)
+}
+
+/// The bytes of a file of `length` bytes, without a second copy of them in memory.
+fn read_once(path: &Path, length: u64) -> std::io::Result<Arc<[u8]>> {
+    let mut file = std::fs::File::open(path)?;
+    let mut bytes: Arc<[u8]> = std::iter::repeat_n(0, usize::try_from(length).unwrap_or(0)).collect();
+    if let Some(whole) = Arc::get_mut(&mut bytes) {
+        file.read_exact(whole)?;
+    }
+    // More than it was said to have: it grew meanwhile, or is no regular file.
+    let mut rest = Vec::new();
+    file.read_to_end(&mut rest)?;
+    if rest.is_empty() { Ok(bytes) } else { Ok([&bytes[..], &rest[..]].concat().into()) }
 }
 
 /// The path a URI means, relative to the scene's directory.
