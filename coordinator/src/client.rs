@@ -12,6 +12,7 @@ use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::jobs_client::JobsClient;
 use gatherlight_proto::{Digest, WireError, wire};
 use gatherlight_render::import::SceneBundle;
+use gatherlight_render::job;
 use gatherlight_render::settings::RenderSettings;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -174,7 +175,7 @@ impl Client {
     pub fn url(&self) -> &str {
         &self.url
     }
-    /// Uploads what the coordinator lacks of the scene and starts a job. `uploaded` hears (bytes sent, bytes to send).
+    /// Uploads what the image needs of the scene and the coordinator lacks, and starts a job. `uploaded` hears (bytes sent, bytes to send).
     ///
     /// # Errors
     /// When the scene, the settings or a limit is at fault, or the connection breaks.
@@ -183,7 +184,9 @@ impl Client {
         request: &SubmitRequest,
         mut uploaded: impl FnMut(u64, u64) + Send,
     ) -> Result<JobId, ClientError> {
-        let (manifest, files) = manifest::pack(&request.bundle);
+        // A scene that is damaged is sent as it is: the coordinator says what is wrong with it.
+        let needed = job::cut(&request.bundle, &request.settings).unwrap_or_else(|_| request.bundle.clone());
+        let (manifest, files) = manifest::pack(&needed);
         let blobs = manifest.blobs().into_iter().map(Into::into).collect();
         let missing = self.jobs.clone().missing(wire::MissingRequest { blobs }).await.map_err(|s| self.failed(&s))?;
         let mut wanted = Vec::new();

@@ -68,16 +68,20 @@ impl About {
 
 /// What is computed and what is left out, with the reason: one line for each reason in a row.
 pub fn plan_lines(plan: &Plan) -> Vec<String> {
-    let same = |a: &PlanEntry, b: &PlanEntry| a.kept == b.kept && a.reason == b.reason;
-    plan.entries
-        .chunk_by(same)
-        .filter_map(|group| group.first().map(|first| (group, first)))
-        .map(|(group, first)| {
-            let verb = if first.kept { "computed" } else { "left out" };
-            let things: Vec<&str> = group.iter().map(|e| e.what.as_str()).collect();
-            format!("{verb}  {}: {}", things.join(", "), first.reason)
-        })
-        .collect()
+    plan_groups(plan).map(plan_line).collect()
+}
+
+/// Entries of the plan in a row that share a reason.
+pub fn plan_groups(plan: &Plan) -> impl Iterator<Item = &[PlanEntry]> {
+    plan.entries.chunk_by(|a, b| a.kept == b.kept && a.reason == b.reason)
+}
+
+/// The line of a group.
+pub fn plan_line(group: &[PlanEntry]) -> String {
+    let Some(first) = group.first() else { return String::new() };
+    let verb = if first.kept { "computed" } else { "left out" };
+    let things: Vec<&str> = group.iter().map(|e| e.what.as_str()).collect();
+    format!("{verb}  {}: {}", things.join(", "), first.reason)
 }
 
 /// What `render` and `submit` report at the end.

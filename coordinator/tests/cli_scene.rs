@@ -66,6 +66,24 @@ fn the_plan_says_what_is_left_out_and_why() {
 }
 
 #[test]
+fn the_plan_says_what_leaving_out_saves_and_on_demand_what_it_rests_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = scene("cornell-diffuse.glb");
+    let plan = |options: &str| run(dir.path(), &format!("plan {} --method photon {options}", path.display()));
+    let (plain, explained) = (plan("").out, plan("--explain").out);
+    let line = "caustic photon map: no surface is specular or glossy; saves 1000000 photon paths";
+    let evidence = "0 of 4 materials in use are specular or glossy";
+    assert!(plain.contains(line) && !plain.contains(evidence), "{plain}");
+    assert!(explained.contains(line) && explained.contains(evidence), "{explained}");
+    let json = plan("--json").json();
+    let entries = json["plan"]["entries"].as_array().unwrap();
+    let directions = entries.iter().find(|e| e["what"] == "photon directions").unwrap();
+    assert!(directions["saves"]["wire_bytes"].as_u64().unwrap() > 0, "{directions}");
+    let kept = plan("--keep-all").out;
+    assert!(kept.contains("computed  caustic photon map: "), "{kept}");
+}
+
+#[test]
 fn the_plan_chooses_a_method_and_says_why() {
     let dir = triangle_dir();
     let method = |options: &str| {

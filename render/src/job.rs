@@ -5,7 +5,7 @@
 
 use crate::error::{SceneError, SettingsError};
 use crate::film::{Accumulator, ChannelSet, LightImage, Tile, TileGrid};
-use crate::import::{self, SceneBundle};
+use crate::import::{self, SceneBundle, Wanted};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
@@ -103,6 +103,20 @@ pub enum JobError {
     Settings(#[from] SettingsError),
 }
 
+/// What of a scene an image with these settings asks for.
+pub fn wanted(settings: &RenderSettings) -> Wanted {
+    let surface = |l: &Layer| matches!(l, Layer::Albedo | Layer::Normal);
+    Wanted { everything: settings.keep_all, surface_layers: settings.layers.iter().any(surface), images: true }
+}
+
+/// The bundle that a cluster needs for an image with these settings, without what nothing of it reads.
+///
+/// # Errors
+/// When the scene is damaged.
+pub fn cut(bundle: &SceneBundle, settings: &RenderSettings) -> Result<SceneBundle, SceneError> {
+    import::cut(bundle, SceneDigest::of(bundle).0, wanted(settings))
+}
+
 /// A scene ready to render with its settings.
 pub struct PreparedJob {
     settings: RenderSettings,
@@ -121,7 +135,7 @@ impl PreparedJob {
     /// When the scene or a setting makes no sense.
     pub fn prepare(bundle: &SceneBundle, settings: &RenderSettings) -> Result<Self, JobError> {
         settings.validate()?;
-        let description = import::load(bundle)?;
+        let description = import::load_for(bundle, wanted(settings))?;
         Self::from_description(description, SceneDigest::of(bundle), settings)
     }
 
@@ -136,8 +150,12 @@ impl PreparedJob {
     ) -> Result<Self, JobError> {
         settings.validate()?;
         let cameras = std::mem::take(&mut description.cameras);
+        let parts = std::mem::take(&mut description.parts);
         let bounds = builder::world_bounds(&description);
         let mut scene = builder::build(description)?;
+        // Testing every hit for holes finds none where there are none.
+        scene.has_alpha_masks |= settings.keep_all;
+        scene.has_absorption |= settings.keep_all;
         let (width, height) = (settings.width, settings.height);
         let (camera, note) = builder::choose_camera(&cameras, bounds, &scene.space, &settings.camera, width, height)?;
         let mut warnings = std::mem::take(&mut scene.warnings);
@@ -148,9 +166,9 @@ impl PreparedJob {
         let wants_aim = plan::reads_photons(settings.method)
             && !settings.direct_from_map
             && settings.caustic_photons > 0
-            && scene.has_diffuse();
+            && (scene.has_diffuse() || settings.keep_all);
         let aim = if wants_aim { AimedEmission::new(&scene) } else { None };
-        let plan = Plan::new(&scene, &camera, settings, aim.as_ref());
+        let plan = Plan::new(&scene, &camera, settings, aim.as_ref(), parts);
         Ok(PreparedJob { settings: settings.clone(), digest, scene, camera, aim, plan, warnings })
     }
 

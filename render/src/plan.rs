@@ -3,30 +3,24 @@
 //! The plan is a pure function of scene and settings; the render follows it, and leaving something out changes no bit
 //! of the image.
 
+mod entries;
 mod memory;
+
+pub use crate::scene::description::{PlanEntry, Saving};
 
 use crate::film::{LightImage, TileGrid};
 use crate::integrator::{progressive, vcm};
+use crate::material::Material;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind};
 use crate::scene::{Camera, Scene};
 use crate::settings::{Layer, Method, RenderSettings};
+use entries::{Entries, materials};
 
 /// Photon paths traced to estimate how many photons a map will hold.
 const PILOT_PATHS: u64 = 4096;
-
-/// One thing the image needs or does not.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PlanEntry {
-    /// The pass, map, field or transfer.
-    pub what: String,
-    /// Whether it is there.
-    pub kept: bool,
-    /// Why.
-    pub reason: String,
-}
 
 /// One emission pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,47 +55,58 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Decides what `scene` needs for `settings`.
-    pub fn new(scene: &Scene, camera: &Camera, settings: &RenderSettings, aim: Option<&AimedEmission>) -> Self {
-        let mut entries = Vec::new();
-        let mut entry = |what: &str, kept: bool, reason: String| {
-            entries.push(PlanEntry { what: what.into(), kept, reason });
-        };
+    /// Decides what `scene` needs for `settings`; `parts` says what of its file was read.
+    pub fn new(
+        scene: &Scene,
+        camera: &Camera,
+        settings: &RenderSettings,
+        aim: Option<&AimedEmission>,
+        parts: Vec<PlanEntry>,
+    ) -> Self {
+        let mut entries = Entries(parts);
+        plan_scene(scene, &mut entries);
         let pixel = pixel_on_surfaces(scene, camera, settings);
         let vertices = plan_vertices(scene, camera, settings, pixel);
         if let Some(v) = &vertices {
-            entry("map of light vertices", true, describe(v, "where light paths meet surfaces that are not mirrors"));
+            entries.add(
+                "map of light vertices",
+                true,
+                describe(v, "where light paths meet surfaces that are not mirrors"),
+            );
         }
-        let global = plan_global(scene, settings, pixel).map_err(|why| entry("global photon map", false, why)).ok();
-        if let Some(g) = &global {
-            entry("global photon map", true, describe(g, "light on diffuse surfaces"));
-        }
+        let global = plan_global(scene, settings, pixel);
+        let global = report_map("global photon map", "light on diffuse surfaces", global, settings, &mut entries);
         let global = vertices.or(global);
-        let caustic =
-            plan_caustic(scene, settings, aim, pixel).map_err(|why| entry("caustic photon map", false, why)).ok();
-        if let (Some(c), Some(a)) = (&caustic, aim) {
-            entry("caustic photon map", true, describe(c, "light focused by specular and glossy surfaces"));
-            let n = a.targets().len();
-            entry("aimed emission", true, format!("towards {n} bounding sphere{} of such surfaces", plural(n)));
-        }
-        if vertices.is_some() {
-            entry("photon directions", true, "BSDFs and weights depend on where the light came from".into());
-        } else if global.is_some() || caustic.is_some() {
-            entry("photon directions", false, "diffuse lobes reflect the same whatever the direction".into());
-        } else {
-            entry("merge and broadcast", false, "there is no map".into());
-        }
-        plan_gather(scene, settings, global.is_some(), &mut entry);
-        let light_bytes = plan_light_image(settings, &mut entry);
-        for layer in Layer::ALL {
-            if !settings.layers.contains(&layer) {
-                entry(&format!("layer {}", layer.name()), false, "not asked for".into());
+        let caustic = plan_caustic(scene, settings, aim, pixel);
+        let what = "light focused by specular and glossy surfaces";
+        let caustic = report_map("caustic photon map", what, caustic, settings, &mut entries);
+        if caustic.is_some() || reads_photons(settings.method) {
+            let focusing = materials(scene, "are specular or glossy", Material::has_specular_or_glossy);
+            if let Some(entry) = entries.0.last_mut() {
+                entry.evidence.push(focusing);
             }
         }
+        if let (Some(_), Some(a)) = (&caustic, aim) {
+            let n = a.targets().len();
+            entries.add("aimed emission", true, format!("towards {n} bounding sphere{} of such surfaces", plural(n)));
+        }
         let stored = |e: &Option<EmissionPlan>| memory::stored_at_once(e.as_ref(), settings);
+        let photons = stored(&global) + stored(&caustic);
+        if vertices.is_some() {
+            entries.add("photon directions", true, "BSDFs and weights depend on where the light came from");
+        } else if global.is_some() || caustic.is_some() {
+            let bytes = photons * memory::DIRECTION_BYTES;
+            let why = "diffuse lobes reflect the same whatever the direction";
+            entries.add("photon directions", false, why).saves_bytes(bytes, bytes);
+        } else {
+            entries.add("merge and broadcast", false, "there is no map");
+        }
+        plan_gather(scene, settings, global.is_some(), &mut entries);
+        let light_bytes = plan_light_image(settings, &mut entries);
+        plan_layers(settings, &mut entries);
         let memory = memory::predict(scene, settings, stored(&global), stored(&caustic));
         Plan {
-            entries,
+            entries: entries.0,
             global,
             caustic,
             // Workers add to one light image of their own, and the coordinator to the sum.
@@ -132,6 +137,63 @@ fn describe(e: &EmissionPlan, what: &str) -> String {
     format!("{what}: {} paths emitted, about {} photons stored", e.paths, e.expected_stored)
 }
 
+/// Adds the entry of a map, or why there is none.
+fn report_map(
+    name: &str,
+    what: &str,
+    map: Result<EmissionPlan, LeftOut>,
+    settings: &RenderSettings,
+    entries: &mut Entries,
+) -> Option<EmissionPlan> {
+    match map {
+        Ok(e) => {
+            entries.add(name, true, describe(&e, what)).because([format!(
+                "{} photons of {} paths are expected, from the first {}",
+                e.expected_stored,
+                e.paths,
+                PILOT_PATHS.min(e.paths)
+            )]);
+            Some(e)
+        }
+        Err(LeftOut { reason, paths }) => {
+            let work = format!("{paths} photon paths");
+            let work = if reads_photons(settings.method) && paths > 0 { work } else { String::new() };
+            entries.add(name, false, reason).saves_work(work);
+            None
+        }
+    }
+}
+
+/// Lights, and geometry that the camera does not see.
+fn plan_scene(scene: &Scene, entries: &mut Entries) {
+    let (area, all) = (scene.lights.area_count(), scene.lights.len());
+    if all > 0 {
+        let reason = format!("{area} emissive triangle{}, {} other", plural(area), all - area);
+        entries.add("lights", true, reason).because([materials(scene, "emit light", Material::is_emissive)]);
+    } else {
+        entries.add("lights", false, "the scene has none");
+    }
+    // Rays leave surfaces by a rounding bound, which near a crease may be beyond the next wall; so not even a closed room
+    // is proof that nothing outside is ever met. And the unit of lengths comes from the whole scene.
+    let why = "what is out of view may block light or reflect it into view, and sets the scene's size";
+    entries.add("geometry out of view", true, why);
+}
+
+/// Layers that nobody asked for.
+fn plan_layers(settings: &RenderSettings, entries: &mut Entries) {
+    let pixels = u64::from(settings.width) * u64::from(settings.height);
+    for layer in Layer::ALL.iter().filter(|l| !settings.layers.contains(l)) {
+        let bytes = 4 * layer.width() as u64 * pixels;
+        entries.add(&format!("layer {}", layer.name()), false, "not asked for").saves_bytes(bytes, bytes);
+    }
+}
+
+/// Why a map is not there, and the paths that are not emitted for it.
+struct LeftOut {
+    reason: String,
+    paths: u64,
+}
+
 /// The light vertices of all rounds, where the method merges with them and there is light.
 fn plan_vertices(scene: &Scene, camera: &Camera, settings: &RenderSettings, pixel: f32) -> Option<EmissionPlan> {
     if settings.method != Method::Vcm || scene.lights.is_empty() {
@@ -147,14 +209,16 @@ fn plan_vertices(scene: &Scene, camera: &Camera, settings: &RenderSettings, pixe
     Some(EmissionPlan { paths, storage: Storage::All, expected_stored, first_radius })
 }
 
-fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<EmissionPlan, String> {
-    common_reason(scene, settings)?;
-    if settings.photons == 0 {
-        return Err("--photons is 0".into());
+fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<EmissionPlan, LeftOut> {
+    let paths = settings.photons;
+    let out = |reason: String| LeftOut { reason, paths };
+    common_reason(scene, settings).map_err(out)?;
+    if paths == 0 {
+        return Err(out("--photons is 0".into()));
     }
     let gathers = settings.method == Method::Photon && settings.final_gather > 0;
     let storage = if gathers || settings.direct_from_map { Storage::All } else { Storage::Indirect };
-    Ok(emission_plan(scene, settings, MapKind::Global, storage, settings.photons, None, pixel))
+    Ok(emission_plan(scene, settings, MapKind::Global, storage, paths, None, pixel))
 }
 
 fn plan_caustic(
@@ -162,19 +226,23 @@ fn plan_caustic(
     settings: &RenderSettings,
     aim: Option<&AimedEmission>,
     pixel: f32,
-) -> Result<EmissionPlan, String> {
-    common_reason(scene, settings)?;
-    if !scene.has_specular_or_glossy() {
-        return Err("no surface is specular or glossy".into());
+) -> Result<EmissionPlan, LeftOut> {
+    let paths = settings.caustic_photons;
+    let out = |reason: &str| LeftOut { reason: reason.into(), paths };
+    common_reason(scene, settings).map_err(|reason| LeftOut { reason, paths })?;
+    if !scene.has_specular_or_glossy() && !settings.keep_all {
+        return Err(out("no surface is specular or glossy"));
     }
     if settings.direct_from_map {
-        return Err("--direct-from-map: the global map holds focused light, too".into());
+        return Err(out("--direct-from-map: the global map holds focused light, too"));
     }
-    if settings.caustic_photons == 0 {
-        return Err("--caustic-photons is 0".into());
+    if paths == 0 {
+        return Err(out("--caustic-photons is 0"));
     }
-    let aim = aim.ok_or_else(|| "no light reaches a specular or glossy surface".to_string())?;
-    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, settings.caustic_photons, Some(aim), pixel))
+    if aim.is_none() && !settings.keep_all {
+        return Err(out("no light reaches a specular or glossy surface"));
+    }
+    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, paths, aim, pixel))
 }
 
 /// Whether `method` gathers from photon maps.
@@ -201,6 +269,10 @@ fn pixel_on_surfaces(scene: &Scene, camera: &Camera, settings: &RenderSettings) 
 fn common_reason(scene: &Scene, settings: &RenderSettings) -> Result<(), String> {
     if !reads_photons(settings.method) {
         return Err(format!("method {} reads no photons", settings.method.name()));
+    }
+    // Paths that no light starts, or no surface stores, leave an empty map.
+    if settings.keep_all {
+        return Ok(());
     }
     if scene.lights.is_empty() {
         return Err("there is no light".into());
@@ -236,10 +308,10 @@ fn emission_plan(
 }
 
 /// Bytes of a whole light image, where the method has one.
-fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool, String)) -> u64 {
+fn plan_light_image(settings: &RenderSettings, entries: &mut Entries) -> u64 {
     let planes = settings.light_planes();
     if planes == 0 {
-        entry("light image", false, format!("method {} splats nothing", settings.method.name()));
+        entries.add("light image", false, format!("method {} splats nothing", settings.method.name()));
         return 0;
     }
     let grid = TileGrid { width: settings.width, height: settings.height };
@@ -249,11 +321,11 @@ fn plan_light_image(settings: &RenderSettings, entry: &mut impl FnMut(&str, bool
         Method::Mlt => "Markov chains land on any pixel",
         _ => "light paths that meet the lens land on any pixel",
     };
-    entry("light image", true, format!("{why}: {} MiB, summed exactly", bytes.div_ceil(1 << 20)));
+    entries.add("light image", true, format!("{why}: {} MiB, summed exactly", bytes.div_ceil(1 << 20)));
     bytes
 }
 
-fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry: &mut impl FnMut(&str, bool, String)) {
+fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entries: &mut Entries) {
     let (w, h, method) = (settings.width, settings.height, settings.method.name());
     let (what, effort) = match settings.method {
         Method::Mlt => {
@@ -262,11 +334,11 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry
         m if m.has_rounds() => ("gather pass", format!("{} rounds, one sample each", settings.rounds)),
         _ => ("gather pass", format!("{} samples each", settings.samples)),
     };
-    entry(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));
+    entries.add(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));
     if settings.method == Method::Whitted {
         let why = "method whitted follows light from lamps to one diffuse surface, mirrors and glass to the camera";
-        entry("indirect light", false, why.into());
-        entry("caustics", false, why.into());
+        entries.add("indirect light", false, why);
+        entries.add("caustics", false, why);
     }
     if settings.method == Method::Photon {
         let kept = has_global && settings.final_gather > 0;
@@ -276,16 +348,21 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entry
             (true, 0) => "--final-gather is 0: the global map is looked at directly".to_string(),
             (true, n) => format!("{n} rays for each diffuse camera vertex"),
         };
-        entry("final gather", kept, reason);
+        entries.add("final gather", kept, reason);
         let why = if kept { "computed at some photons, where looked at" } else { "there is no final gather" };
-        entry("precomputed irradiance", kept, why.into());
+        entries.add("precomputed irradiance", kept, why);
     }
     let masks = scene.has_alpha_masks;
-    entry("alpha mask tests", masks, if masks { "some materials have holes" } else { "no material has holes" }.into());
-    let bodies = scene.materials.iter().any(|m| m.absorption().is_some());
-    entry(
-        "attenuation in bodies",
-        bodies,
-        if bodies { "some bodies absorb light" } else { "no body absorbs light" }.into(),
-    );
+    let why = match masks {
+        true if settings.keep_all => "--keep-all",
+        true => "some materials have holes",
+        false => "no material has holes",
+    };
+    let evidence = materials(scene, "have holes", Material::has_alpha_mask);
+    entries.add("alpha mask tests", masks, why).saves_work("a test at every hit").because([evidence]);
+    let absorbs = |m: &Material| m.absorption().is_some();
+    let bodies = scene.materials.iter().any(absorbs);
+    let why = if bodies { "some bodies absorb light" } else { "no body absorbs light" };
+    let evidence = materials(scene, "absorb light", absorbs);
+    entries.add("attenuation in bodies", bodies, why).saves_work("three exponentials an edge").because([evidence]);
 }

@@ -252,6 +252,9 @@ pub struct RenderSettings {
     pub large_step: f32,
     /// Extra layers, sorted, without duplicates.
     pub layers: Vec<Layer>,
+    /// Compute, decode and send also what the plan would leave out, for comparison. The one setting that changes no bit
+    /// of the image; it is here all the same, because all processes of a job must make the same plan.
+    pub keep_all: bool,
 }
 
 impl Default for RenderSettings {
@@ -280,6 +283,7 @@ impl Default for RenderSettings {
             bootstrap: 65_536,
             large_step: 0.3,
             layers: Vec::new(),
+            keep_all: false,
         }
     }
 }

@@ -12,7 +12,9 @@ const EXAMPLES: &str = "\
 Examples:
   gatherlight plan cornell.glb
   gatherlight plan cornell.glb --photons 10M --json
-  gatherlight plan cornell.glb --method path";
+  gatherlight plan cornell.glb --method path
+  gatherlight plan cornell.glb --explain
+  gatherlight plan cornell.glb --keep-all";
 
 /// Show what a render would compute and what it would leave out, and why
 #[derive(Args, Debug)]
@@ -23,6 +25,9 @@ pub(super) struct PlanArgs {
     /// Treat warnings as errors: no light, no camera, unsupported features
     #[arg(long, help_heading = "Run")]
     strict: bool,
+    /// Show below each line what it rests on: materials, textures and who would use them, counts
+    #[arg(long, help_heading = "Messages")]
+    explain: bool,
     /// Print the plan as JSON on stdout
     #[arg(long, help_heading = "Messages")]
     json: bool,
@@ -42,7 +47,7 @@ pub(super) fn run(args: &PlanArgs) -> CliResult {
             "warnings": preflight.warnings,
         }));
     } else {
-        print_result(&format!("{} {}\n{}", bundle.name, settings_text(settings), preflight.text()));
+        print_result(&format!("{} {}\n{}", bundle.name, settings_text(settings), preflight.text(args.explain)));
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use crate::report;
 use crate::schedule::job::closes_rounds;
 use gatherlight_render::auto::Choice;
 use gatherlight_render::job::{Phase, PreparedJob};
-use gatherlight_render::plan::{EmissionPlan, Plan};
+use gatherlight_render::plan::{EmissionPlan, Plan, PlanEntry, Saving};
 use serde_json::{Value, json};
 
 /// What a scene and its settings will lead to.
@@ -17,6 +17,8 @@ pub(super) struct Preflight {
     pub(super) digest: String,
     /// What is computed and what is left out, with the reason: one line each.
     pub(super) plan: Vec<String>,
+    /// The same with what leaving out saves, and below each line what it rests on.
+    details: Vec<(String, Vec<String>)>,
     /// Expected memory and traffic, for people.
     pub(super) costs: String,
     /// What a user should know.
@@ -42,7 +44,8 @@ impl Preflight {
         let method = format!("method: {} — {}", choice.method.name(), choice.reason);
         Preflight {
             digest: job.scene_digest().to_string(),
-            plan: std::iter::once(method).chain(report::plan_lines(job.plan())).collect(),
+            plan: std::iter::once(method.clone()).chain(report::plan_lines(job.plan())).collect(),
+            details: std::iter::once((method, Vec::new())).chain(details(job.plan())).collect(),
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
             json: plan_json(job, choice),
@@ -63,10 +66,31 @@ impl Preflight {
         Ok(())
     }
 
-    /// The plan as it is printed.
-    pub(super) fn text(&self) -> String {
-        format!("{}\n{}", self.plan.join("\n"), self.costs)
+    /// The plan as it is printed; with `explain` also what each line rests on.
+    pub(super) fn text(&self, explain: bool) -> String {
+        let mut text = String::new();
+        for (line, evidence) in &self.details {
+            text.push_str(&format!("{line}\n"));
+            evidence.iter().filter(|_| explain).for_each(|e| text.push_str(&format!("             {e}\n")));
+        }
+        text + &self.costs
     }
+}
+
+/// The lines of the plan with what leaving out saves, and the evidence of each.
+fn details(plan: &Plan) -> Vec<(String, Vec<String>)> {
+    let groups = report::plan_groups(plan);
+    let line = |group: &[PlanEntry]| {
+        let sum = |bytes: fn(&Saving) -> u64| group.iter().map(|e| bytes(&e.saves)).sum::<u64>();
+        let (wire, memory) = (sum(|s| s.wire_bytes), sum(|s| s.memory_bytes));
+        let mut saved: Vec<String> = group.iter().map(|e| e.saves.work.clone()).filter(|w| !w.is_empty()).collect();
+        saved.extend((wire > 0).then(|| format!("{} sent", bytes(wire))));
+        saved.extend((memory > 0).then(|| format!("{} of memory", bytes(memory))));
+        let saved = if saved.is_empty() { String::new() } else { format!("; saves {}", saved.join(", ")) };
+        let evidence = group.iter().flat_map(|e| e.evidence.iter().cloned()).collect();
+        (format!("{}{saved}", report::plan_line(group)), evidence)
+    };
+    groups.map(line).collect()
 }
 
 fn costs(plan: &Plan) -> String {
@@ -84,8 +108,7 @@ fn costs(plan: &Plan) -> String {
 
 fn plan_json(job: &PreparedJob, choice: &Choice) -> Value {
     let plan = job.plan();
-    let entries: Vec<Value> =
-        plan.entries.iter().map(|e| json!({ "what": e.what, "kept": e.kept, "reason": e.reason })).collect();
+    let entries: Vec<Value> = plan.entries.iter().map(entry_json).collect();
     let emission = |e: &Option<EmissionPlan>| {
         e.as_ref().map(|e| json!({ "paths": e.paths, "expected_stored": e.expected_stored }))
     };
@@ -99,6 +122,20 @@ fn plan_json(job: &PreparedJob, choice: &Choice) -> Value {
         "worker_bytes": plan.worker_bytes,
         "coordinator_bytes": plan.coordinator_bytes,
         "broadcast_bytes": plan.broadcast_bytes,
+    })
+}
+
+fn entry_json(e: &PlanEntry) -> Value {
+    json!({
+        "what": e.what,
+        "kept": e.kept,
+        "reason": e.reason,
+        "saves": {
+            "wire_bytes": e.saves.wire_bytes,
+            "memory_bytes": e.saves.memory_bytes,
+            "work": e.saves.work,
+        },
+        "evidence": e.evidence,
     })
 }
 

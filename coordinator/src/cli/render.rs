@@ -59,7 +59,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let preflight = Preflight::of(&job, &choice);
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(settings.method, preflight.has_rounds)?;
-    args.messages.note(&preflight.text());
+    args.messages.note(&preflight.text(false));
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
     let (mut view, mut timeline) = (JobView::new(args.messages.style()), Timeline::default());

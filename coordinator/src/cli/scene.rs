@@ -4,10 +4,11 @@ use super::error::CliError;
 use super::settings::{SettingsArgs, camera_aspect};
 use clap::Args;
 use gatherlight_render::auto::Choice;
-use gatherlight_render::import::{self, SceneBundle};
+use gatherlight_render::import::{self, SceneBundle, Wanted};
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::{Method, RenderSettings};
+use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -43,9 +44,12 @@ impl SceneArgs {
         let args = &self.settings;
         // Nonsense in the options is found before a large scene is read.
         args.check()?;
-        let bundle = read_bundle(&self.scene)?;
+        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let bundle = read_bundle_for(&self.scene, wanted)?;
         let description = if args.needs_scene() {
-            import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?
+            // Method and size do not depend on what images hold.
+            let outline = Wanted { images: false, ..wanted };
+            import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?
         } else {
             SceneDescription::default()
         };
@@ -59,9 +63,7 @@ impl SceneArgs {
         }
         Ok(Loaded { bundle, settings, choice })
     }
-}
 
-impl SceneArgs {
     /// Reads the scene with every file it names, and makes the settings of each of `methods`; returns also the one that the scene
     /// asks for.
     ///
@@ -72,22 +74,25 @@ impl SceneArgs {
         if args.names_method() {
             return Err(CliError::Usage("--method: name the methods by --methods".into()));
         }
-        let bundle = read_bundle(&self.scene)?;
-        let description = import::load(&bundle).map_err(|e| CliError::Failed(e.to_string()))?;
+        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let bundle = read_bundle_for(&self.scene, wanted)?;
+        // Methods and size do not depend on what images hold.
+        let outline = Wanted { images: false, ..wanted };
+        let description = import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?;
         let aspect = camera_aspect(&description.cameras, &args.camera());
         let settings = methods.iter().map(|&m| args.settings(m, aspect)).collect::<Result<_, _>>()?;
         Ok((bundle, settings, args.method(&description)?.method))
     }
 }
 
-/// Reads the scene at `path` with the external files it names, relative to its directory.
+/// Reads the scene at `path` with the external files that what is `wanted` needs, relative to its directory.
 ///
 /// # Errors
 /// When a file cannot be read, with its path and what named it.
-pub(super) fn read_bundle(path: &Path) -> Result<SceneBundle, CliError> {
+fn read_bundle_for(path: &Path, wanted: Wanted) -> Result<SceneBundle, CliError> {
     let root = read(path, None)?;
     let name = path.file_name().map_or_else(|| path.to_string_lossy(), |n| n.to_string_lossy()).into_owned();
-    let uris = import::external_uris(&name, &root).map_err(|e| CliError::Failed(e.to_string()))?;
+    let uris = import::external_uris_for(&name, &root, wanted).map_err(|e| CliError::Failed(e.to_string()))?;
     let directory = path.parent().unwrap_or(Path::new(""));
     let mut externals = Vec::with_capacity(uris.len());
     for uri in uris {
@@ -117,7 +122,20 @@ fn read(path: &Path, named_by: Option<&str>) -> Result<Arc<[u8]>, CliError> {
         let limit = format!("over the limit of {MAX_FILE_BYTES} (MAX_FILE_BYTES, fixed at build time)");
         return Err(fail(format!("{shown}{by} has {} bytes, {limit}", meta.len())));
     }
-    std::fs::read(path).map(Arc::from).map_err(unreadable)
+    read_once(path, meta.len()).map_err(unreadable)
+}
+
+/// The bytes of a file of `length` bytes, without a second copy of them in memory.
+fn read_once(path: &Path, length: u64) -> std::io::Result<Arc<[u8]>> {
+    let mut file = std::fs::File::open(path)?;
+    let mut bytes: Arc<[u8]> = std::iter::repeat_n(0, usize::try_from(length).unwrap_or(0)).collect();
+    if let Some(whole) = Arc::get_mut(&mut bytes) {
+        file.read_exact(whole)?;
+    }
+    // More than it was said to have: it grew meanwhile, or is no regular file.
+    let mut rest = Vec::new();
+    file.read_to_end(&mut rest)?;
+    if rest.is_empty() { Ok(bytes) } else { Ok([&bytes[..], &rest[..]].concat().into()) }
 }
 
 /// The path a URI means, relative to the scene's directory.

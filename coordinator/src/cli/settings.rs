@@ -37,6 +37,9 @@ pub(super) struct SettingsArgs {
     /// Layers beside the colour, separated by commas
     #[arg(long, value_parser = choice(&Layer::ALL, Layer::name), value_name = "LAYER,…", value_delimiter = ',')]
     layers: Vec<Layer>,
+    /// Compute, decode and send also what the plan leaves out, to compare: the same pixels, for more time and memory
+    #[arg(long)]
+    keep_all: bool,
     #[command(flatten)]
     options: OptionArgs,
 }
@@ -69,6 +72,11 @@ impl SettingsArgs {
             None => CameraChoice::First,
             Some(c) => c.parse().map_or_else(|_| CameraChoice::Name(c.clone()), CameraChoice::Index),
         }
+    }
+
+    /// Whether nothing is to be left out.
+    pub(super) fn keep_all(&self) -> bool {
+        self.keep_all
     }
 
     /// Whether the scene has a say in the settings.
@@ -133,6 +141,7 @@ impl SettingsArgs {
             camera: self.camera(),
             seed: self.seed,
             layers: self.sorted_layers(),
+            keep_all: self.keep_all,
             ..RenderSettings::for_method(method)
         };
         self.options.apply(&mut settings);

@@ -56,7 +56,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
-    args.messages.note(&preflight.text());
+    args.messages.note(&preflight.text(false));
     let Loaded { bundle, settings, .. } = loaded;
     let Preflight { plan, warnings, .. } = preflight;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());

@@ -70,6 +70,7 @@ impl From<&RenderSettings> for wire::RenderSettings {
             mutations: s.mutations,
             bootstrap: s.bootstrap,
             large_step: s.large_step,
+            keep_all: s.keep_all,
             camera: match &s.camera {
                 CameraChoice::First => None,
                 CameraChoice::Index(i) => Some(wire::render_settings::Camera::CameraIndex(*i)),
@@ -103,6 +104,7 @@ impl TryFrom<wire::RenderSettings> for RenderSettings {
             estimator: estimator(s.estimator)?,
             kernel: kernel(s.kernel)?,
             layers: s.layers.into_iter().map(layer).collect::<Result<_, _>>()?,
+            keep_all: s.keep_all,
             direct_from_map: s.direct_from_map,
             rounds: s.rounds,
             radius_alpha: s.radius_alpha,

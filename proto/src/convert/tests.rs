@@ -37,6 +37,7 @@ fn settings() -> RenderSettings {
         mutations: 13,
         bootstrap: 14,
         large_step: 0.75,
+        keep_all: true,
         layers: Method::Path.layers().to_vec(),
     }
 }

@@ -3,7 +3,7 @@
 //! [`Layout::check`] proves, without the bytes, that every element lies inside its buffer view; reading then needs the
 //! bytes and cannot fail but for values (numbers that are not finite).
 
-use super::buffer::{Buffers, View};
+use super::buffer::{Buffers, ByteRange, View};
 use super::document::Document;
 use super::json::{Item, Result};
 
@@ -94,6 +94,8 @@ struct Strided {
     offset: usize,
     stride: usize,
     element: usize,
+    /// Bytes from the first element to the end of the last.
+    span: usize,
 }
 
 impl Strided {
@@ -120,11 +122,17 @@ impl Strided {
                 view.len()
             )));
         }
-        Ok(Strided { view, offset, stride, element })
+        let span = end.map_or(0, |end| end - offset);
+        Ok(Strided { view, offset, stride, element, span })
     }
+    /// Which bytes the elements take.
+    fn range(&self) -> ByteRange {
+        self.view.part(self.offset, self.span)
+    }
+    /// An element, where `bytes` are those of [`Strided::range`].
     #[inline]
     fn element<'b>(&self, bytes: &'b [u8], index: usize) -> &'b [u8] {
-        let start = self.offset + index * self.stride;
+        let start = index * self.stride;
         bytes.get(start..start + self.element).unwrap_or(&[])
     }
 }
@@ -190,6 +198,11 @@ impl Layout {
     pub(super) fn is_index(&self) -> bool {
         self.lanes == 1 && self.component.is_unsigned() && !self.normalized
     }
+    /// The bytes that reading it takes.
+    pub(super) fn ranges(&self) -> impl Iterator<Item = ByteRange> + '_ {
+        let sparse = self.sparse.iter().flat_map(|s| [s.indices.range(), s.values.range()]);
+        self.base.iter().map(Strided::range).chain(sparse)
+    }
     /// Where the accessor stands in the file.
     pub(super) fn place(&self) -> &str {
         &self.place
@@ -201,7 +214,7 @@ impl Layout {
     /// When sparse indices are not ascending, or reach beyond the accessor.
     pub(super) fn open<'b>(&'b self, buffers: &'b Buffers) -> Result<Reader<'b>> {
         let sparse = self.sparse.as_ref().map(|s| s.open(buffers, self.count)).transpose()?;
-        let base = self.base.as_ref().map(|b| (b, buffers.view(&b.view)));
+        let base = self.base.as_ref().map(|b| (b, buffers.bytes(b.range())));
         Ok(Reader { layout: self, base, sparse })
     }
 }
@@ -237,7 +250,7 @@ fn check_sparse(
 
 impl Sparse {
     fn open<'b>(&'b self, buffers: &'b Buffers, total: usize) -> Result<OpenSparse<'b>> {
-        let bytes = buffers.view(&self.indices.view);
+        let bytes = buffers.bytes(self.indices.range());
         let indices: Vec<u32> = (0..self.count).map(|i| self.component.index(self.indices.element(bytes, i))).collect();
         let ascending = indices.windows(2).all(|pair| pair[0] < pair[1]);
         if !ascending || indices.last().is_some_and(|&last| last as usize >= total) {
@@ -246,7 +259,7 @@ impl Sparse {
                 format!("sparse indices must ascend and stay below the accessor's count {total}"),
             ));
         }
-        Ok(OpenSparse { indices, values: &self.values, bytes: buffers.view(&self.values.view) })
+        Ok(OpenSparse { indices, values: &self.values, bytes: buffers.bytes(self.values.range()) })
     }
 }
 

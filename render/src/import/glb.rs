@@ -6,6 +6,8 @@ use crate::error::SceneError;
 const MAGIC: &[u8; 4] = b"glTF";
 const CHUNK_JSON: u32 = 0x4e4f_534a;
 const CHUNK_BIN: u32 = 0x004e_4942;
+/// `PART`: the private chunk of [`super::cut`].
+const CHUNK_TABLE: u32 = 0x5452_4150;
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
 
@@ -15,6 +17,8 @@ pub(super) struct Container<'a> {
     pub(super) json: &'a [u8],
     /// The binary chunk of a .glb.
     pub(super) binary: Option<&'a [u8]>,
+    /// The table of a .glb of which a client sent a part: see [`super::cut`].
+    pub(super) table: Option<&'a [u8]>,
     /// Bytes after the declared end of a .glb.
     pub(super) trailing: usize,
 }
@@ -38,7 +42,7 @@ pub(super) fn split<'a>(file: &str, bytes: &'a [u8]) -> Result<Container<'a>> {
                 "not a glTF 2.0 file: neither .glb nor JSON; convert the scene to .glb or .gltf",
             ));
         }
-        return Ok(Container { json: bytes, binary: None, trailing: 0 });
+        return Ok(Container { json: bytes, binary: None, table: None, trailing: 0 });
     }
     split_binary(file, bytes)
 }
@@ -65,9 +69,35 @@ fn split_binary<'a>(file: &str, bytes: &'a [u8]) -> Result<Container<'a>> {
     if kind != CHUNK_JSON {
         return Err(SceneError::invalid(format!("{file}: chunk 0"), "the first chunk must be JSON"));
     }
-    let binary = if next < body.len() { Some(chunk(file, body, next)?) } else { None };
-    let binary = binary.and_then(|(kind, data, _)| (kind == CHUNK_BIN).then_some(data));
-    Ok(Container { json, binary, trailing: bytes.len() - length })
+    let more = |start| if start < body.len() { chunk(file, body, start).map(Some) } else { Ok(None) };
+    let second = more(next)?;
+    let binary = second.and_then(|(kind, data, _)| (kind == CHUNK_BIN).then_some(data));
+    // Chunks of other types are nobody's business (glTF §4.4), and what follows them may be anything.
+    let third = match second {
+        Some((CHUNK_BIN, _, next)) => more(next).ok().flatten(),
+        other => other,
+    };
+    let table = third.and_then(|(kind, data, _)| (kind == CHUNK_TABLE).then_some(data));
+    Ok(Container { json, binary, table, trailing: bytes.len() - length })
+}
+
+/// The .glb of these chunks, each padded to a multiple of 4 bytes.
+pub(super) fn join(json: &[u8], binary: Option<&[u8]>, table: &[u8]) -> Option<Vec<u8>> {
+    let chunks = [(CHUNK_JSON, Some(json)), (CHUNK_BIN, binary), (CHUNK_TABLE, Some(table))];
+    let mut out = MAGIC.to_vec();
+    out.extend([2u32, 0].map(u32::to_le_bytes).as_flattened());
+    for (kind, data) in chunks {
+        let Some(data) = data else { continue };
+        let padded = data.len().next_multiple_of(4);
+        out.extend(u32::try_from(padded).ok()?.to_le_bytes());
+        out.extend(kind.to_le_bytes());
+        out.extend(data);
+        let fill = if kind == CHUNK_JSON { b' ' } else { 0 };
+        out.resize(out.len() + padded - data.len(), fill);
+    }
+    let length = u32::try_from(out.len()).ok()?.to_le_bytes();
+    out.get_mut(8..12)?.copy_from_slice(&length);
+    Some(out)
 }
 
 /// Type, data and end of the chunk at `start`.

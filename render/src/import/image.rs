@@ -1,6 +1,6 @@
 //! PNG and JPEG images → 8-bit RGBA.
 
-use super::buffer::{Buffers, View};
+use super::buffer::{Buffers, Files, View};
 use super::document::{Document, Warnings};
 use super::json::{Item, Result, quoted};
 use super::limits::{MAX_DEFLATE_RATIO, MAX_IMAGE_PIXELS, MAX_JPEG_PIXELS_PER_BYTE, MAX_TOTAL_PIXELS};
@@ -60,6 +60,31 @@ pub(super) fn read_all(
     Ok(out)
 }
 
+/// Pixels of an image that is not decoded, where its bytes are here and their header makes sense.
+pub(super) fn pixels_of(doc: &Document, image: usize, views: &[View], files: Files) -> Option<u64> {
+    let item = doc.item("images", image).ok()?;
+    let (name, warnings) = (doc.label("image", "images", image), &mut Warnings::default());
+    let view = doc.reference(&item, "bufferView", "bufferViews").ok()?;
+    let bytes = match view {
+        // Only the binary chunk is here without being asked for.
+        Some(view) if files.cut.is_none() => {
+            let range = views.get(view).map(View::range).filter(|r| r.buffer == 0)?;
+            Cow::Borrowed(files.binary?.get(range.offset..range.offset.checked_add(range.length)?)?)
+        }
+        Some(_) => return None,
+        None => {
+            let uri_item = item.get("uri").ok()??;
+            let uri = uri_item.text().ok()?;
+            match uri::is_data(uri) {
+                true => Cow::Owned(uri::decode_data(&uri_item, uri).ok()?.1),
+                false => Cow::Borrowed(uri::find_external(&uri_item, uri, files.externals).ok()?.1),
+            }
+        }
+    };
+    let (width, height) = Decoder::open(&item, &name, None, &bytes, warnings).ok()?.size();
+    Some(u64::from(width) * u64::from(height))
+}
+
 /// Declared media type and encoded bytes.
 fn encoded<'b>(
     doc: &Document<'b>,
@@ -75,7 +100,7 @@ fn encoded<'b>(
         (None, None) => Err(item.error("has neither a uri nor a bufferView")),
         (Some(view), None) => {
             let view = views.get(view).ok_or_else(|| item.error("its buffer view does not exist"))?;
-            Ok((declared, Cow::Borrowed(buffers.view(view))))
+            Ok((declared, Cow::Borrowed(buffers.bytes(view.range()))))
         }
         (None, Some(uri_item)) => {
             let uri = uri_item.text()?;
@@ -83,7 +108,7 @@ fn encoded<'b>(
                 let (media, bytes) = uri::decode_data(&uri_item, uri)?;
                 return Ok((declared.or(Some(media).filter(|m| !m.is_empty())), Cow::Owned(bytes)));
             }
-            Ok((declared, Cow::Borrowed(uri::find_external(&uri_item, uri, externals)?)))
+            Ok((declared, Cow::Borrowed(uri::find_external(&uri_item, uri, externals)?.1)))
         }
     }
 }

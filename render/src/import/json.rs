@@ -73,6 +73,10 @@ impl<'a> Item<'a> {
     pub(super) fn path(&self) -> &str {
         &self.path
     }
+    /// The value without its place.
+    pub(super) fn raw(&self) -> &'a Value {
+        self.value
+    }
     /// An error at this place.
     pub(super) fn error(&self, message: impl Into<String>) -> SceneError {
         SceneError::invalid(self.place(), message)

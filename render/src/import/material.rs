@@ -15,7 +15,7 @@ const BLEND_CUTOFF: f32 = 0.5;
 pub(super) struct Materials {
     /// In file order; glTF's default material, where it is used, is the first.
     pub(super) list: Vec<MaterialDescription>,
-    /// For each material, where the texture coordinates of its meshes come from.
+    /// For each material, where each of the texture coordinate sets of its meshes comes from.
     pub(super) uv_sources: Vec<Vec<UvSource>>,
     /// Their textures.
     pub(super) textures: Textures,
@@ -119,7 +119,7 @@ impl<'a> Reader<'_, 'a> {
             return Err(item.error(message));
         }
         m.emission = emission;
-        m.emissive_texture = self.texture(item, "emissiveTexture")?.filter(|_| !emission.is_black());
+        m.emissive_texture = self.texture(item, "emissiveTexture")?;
         Ok(())
     }
 
@@ -152,7 +152,7 @@ impl<'a> Reader<'_, 'a> {
     fn transmission_and_volume(&mut self, m: &mut MaterialDescription, item: &Item<'a>) -> Result<()> {
         if let Some(ext) = item.extension("KHR_materials_transmission")? {
             m.transmission = self.factor(&ext, "transmissionFactor", 0.0)?;
-            m.transmission_texture = self.texture(&ext, "transmissionTexture")?.filter(|_| m.transmission > 0.0);
+            m.transmission_texture = self.texture(&ext, "transmissionTexture")?;
         }
         if let Some(ext) = item.extension("KHR_materials_ior")? {
             m.ior = self.ior(ext.opt("ior", Item::float)?.unwrap_or(1.5));

@@ -1,5 +1,6 @@
 //! glTF primitives → [`Mesh`].
 
+use super::Wanted;
 use super::accessor::{Layout, Reader};
 use super::buffer::Buffers;
 use super::document::{Document, Warnings};
@@ -70,6 +71,8 @@ pub(super) struct MeshReader<'r, 'a> {
     pub(super) buffers: &'r Buffers<'r>,
     /// Materials, which say what attributes are needed.
     pub(super) materials: &'r Materials,
+    /// What the image asks for.
+    pub(super) wanted: Wanted,
     /// What may still be read.
     pub(super) budget: Budget,
     /// Where to say what is lost.
@@ -234,7 +237,8 @@ impl<'r, 'a> MeshReader<'r, 'a> {
             mesh.colors = Some(colors);
         }
         let materials = self.materials;
-        for (slot, source) in materials.uv_sources.get(mesh.material as usize).into_iter().flatten().enumerate() {
+        let sources = materials.uv_sources.get(mesh.material as usize).into_iter().flatten().enumerate();
+        for (slot, source) in sources.filter(|(_, source)| source.read) {
             let name = format!("TEXCOORD_{}", source.set);
             let Some(layout) = self.attribute(attributes, &name, &[2], Some(count))? else {
                 self.warnings.add(format!(
@@ -251,13 +255,40 @@ impl<'r, 'a> MeshReader<'r, 'a> {
                 *place = Some(uvs);
             }
         }
+        if self.wanted.everything {
+            self.spare_coordinates(attributes, vertices, count, mesh)?;
+        }
         self.tangents(attributes, vertices, count, mesh)
+    }
+
+    /// Texture coordinates that no texture reads, into the sets that are free.
+    fn spare_coordinates(
+        &mut self,
+        attributes: &Item<'a>,
+        vertices: &Vertices,
+        count: usize,
+        mesh: &mut Mesh,
+    ) -> Result<()> {
+        // A set that a texture claims stays as it is, also where the mesh lacks it.
+        let claimed = self.materials.uv_sources.get(mesh.material as usize).map_or(0, Vec::len);
+        for (name, set) in ["TEXCOORD_0", "TEXCOORD_1"].into_iter().zip(0..).skip(claimed) {
+            if mesh.uvs.get(set).is_some_and(Option::is_none)
+                && let Some(layout) = self.attribute(attributes, name, &[2], Some(count))?
+            {
+                let raw = layout.open(self.buffers)?.vectors::<2>(vertices.iter(), 0.0)?;
+                mesh.uvs[set] = Some(raw.into_iter().map(Vec2::from).collect());
+            }
+        }
+        Ok(())
     }
 
     /// Tangents for normal maps: the file's own, or made from the texture coordinates.
     fn tangents(&mut self, attributes: &Item<'a>, vertices: &Vertices, count: usize, mesh: &mut Mesh) -> Result<()> {
         let material = self.materials.list.get(mesh.material as usize);
-        let Some(normal_map) = material.and_then(|m| m.normal_texture) else { return Ok(()) };
+        let normal_map = material.and_then(|m| m.normal_texture);
+        if normal_map.is_none() && !self.wanted.everything {
+            return Ok(());
+        }
         let given = self.attribute(attributes, "TANGENT", &[4], Some(count))?;
         match (given, &mesh.normals) {
             // Without normals, given tangents are to be ignored (glTF §3.7.2.1).
@@ -265,7 +296,11 @@ impl<'r, 'a> MeshReader<'r, 'a> {
                 let raw = layout.open(self.buffers)?.vectors::<4>(vertices.iter(), 1.0)?;
                 mesh.tangents = Some(unit_tangents(raw.into_iter().map(Vec4::from), normals));
             }
-            _ => tangents::generate(mesh, normal_map.uv_set),
+            _ => {
+                if let Some(map) = normal_map {
+                    tangents::generate(mesh, map.uv_set);
+                }
+            }
         }
         Ok(())
     }

@@ -16,6 +16,8 @@ pub(super) struct UvSource {
     pub(super) set: u64,
     /// Rows of the affine map.
     transform: Option<[[f32; 3]; 2]>,
+    /// Some texture that is not left out reads it.
+    pub(super) read: bool,
 }
 
 impl UvSource {
@@ -66,7 +68,27 @@ impl Textures {
             Some(ext) => (ext.opt("texCoord", Item::unsigned)?.unwrap_or(set), transform(&ext)?),
         };
         let texture = self.texture(doc, index, warnings)?;
-        Ok(texture.map(|texture| TextureInfo { texture, source: UvSource { set, transform } }))
+        Ok(texture.map(|texture| TextureInfo { texture, source: UvSource { set, transform, read: true } }))
+    }
+
+    /// The image of the file that a texture shows.
+    pub(super) fn file_image(&self, texture: usize) -> Option<usize> {
+        self.images.get(self.list.get(texture)?.image).copied()
+    }
+    /// Keeps the textures at `kept`, in that order, and their images.
+    pub(super) fn retain(&mut self, kept: &[usize]) {
+        let textures: Vec<TextureDescription> = kept.iter().filter_map(|t| self.list.get(*t).copied()).collect();
+        let mut images: Vec<usize> = Vec::new();
+        self.list = textures;
+        for texture in &mut self.list {
+            let Some(&file_index) = self.images.get(texture.image) else { continue };
+            texture.image = images.iter().position(|i| *i == file_index).unwrap_or_else(|| {
+                images.push(file_index);
+                images.len() - 1
+            });
+        }
+        self.images = images;
+        self.by_file_index.clear();
     }
 
     fn texture(&mut self, doc: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<usize>> {

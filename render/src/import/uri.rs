@@ -69,7 +69,7 @@ pub fn relative_path(uri: &str) -> Option<String> {
     if scheme { None } else { String::from_utf8(percent_decode(uri).into_owned()).ok() }
 }
 
-/// Bytes of the external file `uri`.
+/// Number and bytes of the external file `uri`.
 ///
 /// # Errors
 /// When the bundle lacks it.
@@ -77,8 +77,9 @@ pub(super) fn find_external<'b>(
     item: &Item,
     uri: &str,
     externals: &'b [(String, std::sync::Arc<[u8]>)],
-) -> Result<&'b [u8]> {
-    externals.iter().find(|(name, _)| name == uri).map(|(_, bytes)| &**bytes).ok_or_else(|| {
+) -> Result<(usize, &'b [u8])> {
+    let found = externals.iter().enumerate().find(|(_, (name, _))| name == uri);
+    found.map(|(at, (_, bytes))| (at, &**bytes)).ok_or_else(|| {
         let hint = if relative_path(uri).is_none() {
             "; only files beside the scene are read, not network addresses"
         } else {

@@ -26,7 +26,9 @@ const TRAVELLING_BYTES_PER_PHOTON: u64 = 50;
 /// Photons on their way at once, at most: two leases of the scheduler's largest size.
 const TRAVELLING_PHOTONS: u64 = 1 << 20;
 /// What a light vertex takes beyond a photon, in memory and encoded: direction, two shares and length.
-const VERTEX_BYTES: u64 = 4 + 8 + 1;
+const VERTEX_BYTES: u64 = DIRECTION_BYTES + 8 + 1;
+/// A direction, in memory and encoded.
+pub(super) const DIRECTION_BYTES: u64 = 4;
 /// An encoded photon.
 const ENCODED_BYTES_PER_PHOTON: u64 = 10;
 /// The image, and what its encoding holds besides, in films.

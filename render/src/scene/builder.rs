@@ -34,6 +34,7 @@ pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
     let accelerator = Accelerator::build(&meshes, &instances);
     let has_alpha_masks =
         instances.iter().any(|i| materials[meshes[i.mesh as usize].material as usize].has_alpha_mask());
+    let has_absorption = materials.iter().any(|m| m.absorption().is_some());
     Ok(Scene {
         accelerator,
         meshes,
@@ -43,6 +44,7 @@ pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
         lights,
         space,
         has_alpha_masks,
+        has_absorption,
         warnings: description.warnings,
     })
 }

@@ -23,6 +23,34 @@ pub struct SceneDescription {
     pub cameras: Vec<CameraDescription>,
     /// What was read but will not be shown as the file asks: each names the thing and what is lost.
     pub warnings: Vec<String>,
+    /// What of the file was read and what was left out; empty for a scene made in code.
+    pub parts: Vec<PlanEntry>,
+}
+
+/// One thing the image needs or does not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PlanEntry {
+    /// The pass, map, field, transfer or part of the scene.
+    pub what: String,
+    /// Whether it is there.
+    pub kept: bool,
+    /// Why.
+    pub reason: String,
+    /// What leaving it out saves.
+    pub saves: Saving,
+    /// What the reason rests on: names and counts, one line each.
+    pub evidence: Vec<String>,
+}
+
+/// What leaving something out saves, as far as it is known.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Saving {
+    /// Bytes that are not sent to each process of a cluster.
+    pub wire_bytes: u64,
+    /// Bytes of memory.
+    pub memory_bytes: u64,
+    /// Computation, counted.
+    pub work: String,
 }
 
 /// One placement of a mesh.

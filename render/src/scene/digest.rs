@@ -1,21 +1,28 @@
 //! The content hash by which both ends know that they hold the same scene.
 
-use crate::import::SceneBundle;
+use crate::import::{self, SceneBundle};
 
-/// BLAKE3 over the scene file and every external file it names.
+/// BLAKE3 over the scene file and every external file that some image of it may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SceneDigest(pub [u8; 32]);
 
 impl SceneDigest {
-    /// The digest of `bundle`; file names of externals count, the scene file's own name does not.
+    /// The digest of `bundle`, or of the scene it was cut from; file names of externals count, the scene file's own name
+    /// does not.
     pub fn of(bundle: &SceneBundle) -> Self {
+        if let Some(original) = import::original_digest(&bundle.root) {
+            return SceneDigest(original);
+        }
+        // With `keep_all` there are files that no image needs. A scene that is no glTF is named all the same.
+        let needed = import::external_uris(&bundle.name, &bundle.root).ok().filter(|_| !bundle.externals.is_empty());
+        let counts = |uri: &String| needed.as_ref().is_none_or(|list| list.contains(uri));
         let mut h = blake3::Hasher::new();
         let mut part = |bytes: &[u8]| {
             h.update(&(bytes.len() as u64).to_le_bytes());
             h.update(bytes);
         };
         part(&bundle.root);
-        for (uri, bytes) in &bundle.externals {
+        for (uri, bytes) in bundle.externals.iter().filter(|(uri, _)| counts(uri)) {
             part(uri.as_bytes());
             part(bytes);
         }

@@ -36,6 +36,8 @@ pub struct Scene {
     pub space: SceneSpace,
     /// Whether any material has an alpha mask, so that hits must be tested.
     pub has_alpha_masks: bool,
+    /// Whether any body absorbs light, so that path segments must be told apart by the body they run through.
+    pub has_absorption: bool,
     /// What was read but is not shown as the file asks.
     pub warnings: Vec<String>,
 }
@@ -103,6 +105,9 @@ impl Scene {
     /// Share of light that survives `distance` inside the body that `material` bounds (Beer and Lambert).
     #[inline]
     pub fn transmittance(&self, material: Option<u32>, distance: f32) -> Rgb {
+        if !self.has_absorption {
+            return Rgb::WHITE;
+        }
         material.map_or(Rgb::WHITE, |m| self.materials[m as usize].transmittance(distance))
     }
 

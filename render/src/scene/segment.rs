@@ -14,6 +14,9 @@ impl Interior {
     /// segment). A segment that meets the inner side of a body was inside it, wherever the path began.
     #[inline]
     pub fn transmittance_to(&self, scene: &Scene, end: &SurfacePoint, wo: Vec3, distance: f32) -> Rgb {
+        if !scene.has_absorption {
+            return Rgb::WHITE;
+        }
         let body = self.0.or_else(|| (wo.dot(end.ng) < 0.0).then_some(end.material));
         scene.transmittance(body, distance)
     }
@@ -26,6 +29,9 @@ impl Interior {
     /// arrived from `wo`.
     #[inline]
     pub fn leaving(&self, scene: &Scene, point: &SurfacePoint, wo: Vec3, wi: Vec3) -> Interior {
+        if !scene.has_absorption {
+            return *self;
+        }
         let inside = wi.dot(point.ng) < 0.0;
         if inside != (wo.dot(point.ng) < 0.0) {
             return self.crossed(scene, point, wi);
@@ -41,7 +47,7 @@ impl Interior {
     /// The body after crossing the surface at `point` into direction `wi`.
     #[inline]
     pub fn crossed(&self, scene: &Scene, point: &SurfacePoint, wi: Vec3) -> Interior {
-        if scene.material(point).absorption().is_none() {
+        if !scene.has_absorption || scene.material(point).absorption().is_none() {
             return *self;
         }
         Interior((wi.dot(point.ng) < 0.0).then_some(point.material))

@@ -7,6 +7,7 @@ mod lit;
 mod placed;
 mod png;
 mod shapes;
+pub mod spare;
 mod textured;
 mod transport;
 mod writer;

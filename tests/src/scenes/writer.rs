@@ -118,6 +118,12 @@ impl Writer {
         self.push("meshes", json!({ "name": name, "primitives": primitives }))
     }
 
+    /// Adds a vertex attribute to the first primitive of a mesh.
+    pub(crate) fn attribute<const N: usize>(&mut self, mesh: usize, name: &str, kind: &str, values: &[[f32; N]]) {
+        let accessor = self.floats(kind, values);
+        self.json["meshes"][mesh]["primitives"][0]["attributes"][name] = json!(accessor);
+    }
+
     /// Appends a mesh of one shape, and a node that places it where it is.
     pub(crate) fn object(&mut self, name: &str, shape: &Shape, material: usize) -> usize {
         let mesh = self.mesh(name, &[(shape, material)]);
@@ -151,12 +157,14 @@ impl Writer {
         json!({ "attributes": attributes, "indices": indices, "material": material })
     }
 
-    fn floats<const N: usize>(&mut self, kind: &str, values: &[[f32; N]]) -> usize {
+    /// Appends an accessor of vectors of floats.
+    pub(crate) fn floats<const N: usize>(&mut self, kind: &str, values: &[[f32; N]]) -> usize {
         let bytes: Vec<u8> = values.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         self.accessor(FLOAT, kind, values.len(), &bytes)
     }
 
-    fn accessor(&mut self, component: u32, kind: &str, count: usize, bytes: &[u8]) -> usize {
+    /// Appends an accessor with a view of its own; returns its index.
+    pub(crate) fn accessor(&mut self, component: u32, kind: &str, count: usize, bytes: &[u8]) -> usize {
         let view = self.view(bytes);
         self.push("accessors", json!({ "bufferView": view, "componentType": component, "count": count, "type": kind }))
     }
