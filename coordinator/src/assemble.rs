@@ -7,21 +7,19 @@ use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::export::exr;
 use gatherlight_render::film::{Accumulator, Film};
 use gatherlight_render::integrator::Bootstrap;
-use gatherlight_render::job::{Inputs, PhotonMaps, PreparedJob};
+use gatherlight_render::job::PreparedJob;
 use std::sync::Arc;
 
 /// What an image is made of.
 pub(crate) struct Parts {
     /// The job.
     pub(crate) prepared: Arc<PreparedJob>,
-    /// The tiles of all rounds.
+    /// The closed rounds.
     pub(crate) film: Accumulator,
-    /// Rounds of it that must be complete.
+    /// Rounds of it that there must be.
     pub(crate) rounds: u32,
     /// The sum of what was splatted, where the method splats.
     pub(crate) light: Option<Arc<LightSum>>,
-    /// Units of the splat phase done.
-    pub(crate) units: u64,
     /// The bootstrap, where there is one.
     pub(crate) bootstrap: Option<Arc<Bootstrap>>,
 }
@@ -29,22 +27,19 @@ pub(crate) struct Parts {
 impl Parts {
     /// The whole film.
     fn film(self) -> Result<Film, String> {
-        let Parts { prepared, mut film, rounds, light, units, bootstrap } = self;
-        let sum = |light: Arc<LightSum>| {
-            let empty = prepared.light_image().ok_or("the method has no light image")?;
-            light.finish(empty).map_err(|e| e.to_string())
-        };
-        let light = light.map(sum).transpose()?;
+        let Parts { prepared, mut film, rounds, light, bootstrap } = self;
         // A single round is closed here.
-        if film.closed_rounds() == 0 && film.is_round_complete() {
-            film.close(light.as_ref());
+        if film.closed_rounds() == 0 && (film.is_round_complete() || prepared.is_splatted()) {
+            let sum = |light: Arc<LightSum>| {
+                let empty = prepared.light_image().ok_or("the method has no light image")?;
+                light.finish(empty).map_err(|e| e.to_string())
+            };
+            prepared.close(&mut film, light.map(sum).transpose()?.as_ref(), bootstrap.as_deref());
         }
         if film.closed_rounds() != rounds {
             return Err("tiles are missing from the image".into());
         }
-        // The maps of the last round are gone: an image is finished without them.
-        let inputs = Inputs { maps: PhotonMaps::default(), bootstrap };
-        Ok(prepared.finish(film, light.as_ref(), &inputs, units))
+        Ok(film.finish())
     }
 }
 

@@ -11,6 +11,7 @@ mod assemble;
 pub mod cli;
 pub mod client;
 pub mod compute;
+pub mod converge;
 pub mod driver;
 pub mod embedded;
 mod intake;

@@ -36,6 +36,11 @@ impl About {
         About { scene_digest, plan, has_rounds, has_units, gather_radii: BTreeMap::new() }
     }
 
+    /// Whether it has splat phases.
+    pub fn has_units(&self) -> bool {
+        self.has_units
+    }
+
     /// The attributes of the finished image: the same wherever the job ran, because nothing in them depends on where
     /// or how fast it did, unless a limit ended it: then they say what was done until then.
     pub fn metadata(&self, settings: &RenderSettings, stats: &JobStats) -> ImageMetadata {
@@ -54,6 +59,7 @@ impl About {
             non_finite: stats.non_finite,
             samples: samples_done(settings, stats),
             noise: stats.noise,
+            bias: stats.bias,
             rounds: self.has_rounds.then_some(stats.rounds_done),
             units: self.has_units.then_some(stats.units_done),
         }
@@ -132,6 +138,9 @@ impl Summary {
         if let Some(n) = t.noise {
             text.push_str(&format!(" · relative standard error {:.2} %", 100.0 * n.relative));
         }
+        if let Some(b) = t.bias {
+            text.push_str(&format!(" · relative bias {:.2} %", 100.0 * b.relative));
+        }
         if t.non_finite > 0 {
             text.push_str(&format!(" · {} samples were not finite and left out", grouped(t.non_finite)));
         }
@@ -170,6 +179,8 @@ impl Summary {
             "elapsed_s": self.elapsed.as_secs_f64(),
             "standard_error": t.noise.map(|n| n.standard_error),
             "relative_standard_error": t.noise.map(|n| n.relative).filter(|r| r.is_finite()),
+            "bias": t.bias.map(|b| b.absolute),
+            "relative_bias": t.bias.map(|b| b.relative),
             "stats": stats_json(t),
         })
     }

@@ -22,6 +22,7 @@ fn write(path: &Path, width: u32, height: u32, pixel: impl Fn(usize) -> [f32; 3]
         non_finite: 0,
         samples: None,
         noise: None,
+        bias: None,
         rounds: None,
         units: None,
     };

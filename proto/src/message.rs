@@ -46,8 +46,10 @@ pub enum Task {
     },
     /// Trace these bootstrap paths.
     Bootstrap,
-    /// Compute these units of the splat phase.
+    /// Compute these units of the round's splat phase.
     Splat {
+        /// The round, from 0.
+        round: u32,
         /// The bootstrap they read, where there is one.
         bootstrap: Option<BlobRef>,
     },

@@ -1,8 +1,8 @@
 //! What clients see of jobs and workers, and what coordinator and workers tell each other.
 
 use crate::digest::Digest;
-use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
+use gatherlight_render::film::{Bias, Noise};
 use gatherlight_render::photon::MapKind;
 use std::fmt;
 use std::str::FromStr;
@@ -140,6 +140,8 @@ pub struct JobStats {
     pub mutations: Mutations,
     /// The image's noise so far, once two rounds are there to compare.
     pub noise: Option<Noise>,
+    /// Its bias so far, of methods whose rounds are blurred, once there are enough to compare.
+    pub bias: Option<Bias>,
     /// Largest gather radius, in world units, once known: given or chosen from the map's density.
     pub gather_radius: Option<f32>,
     /// Neighbours of a density estimate.

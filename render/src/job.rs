@@ -4,11 +4,12 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{Accumulator, ChannelSet, Film, LightImage, Tile, TileGrid};
+use crate::film::{Accumulator, ChannelSet, LightImage, Tile, TileGrid};
 use crate::import::{self, SceneBundle, Wanted};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
 use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::radius::blur_of_rounds;
 use crate::integrator::vcm::{self, Vcm};
 use crate::integrator::whitted::Whitted;
 use crate::integrator::{Bootstrap, path, progressive, tile};
@@ -44,8 +45,10 @@ pub enum Phase {
         /// Number of paths.
         paths: u64,
     },
-    /// Compute units 0 … `units` that splat onto the light image: Markov chains, or whole rounds.
+    /// Compute units 0 … `units` of the round that splat onto the light image: Markov chains, or whole rounds of the method.
     Splat {
+        /// The round, from 0.
+        round: u32,
         /// Number of units.
         units: u64,
     },
@@ -63,16 +66,20 @@ impl Phase {
     pub fn units(&self) -> u64 {
         match *self {
             Phase::Emission { paths, .. } | Phase::Bootstrap { paths } => paths,
-            Phase::Splat { units } => units,
+            Phase::Splat { units, .. } => units,
             Phase::Gather { tiles, .. } => u64::from(tiles),
         }
     }
     /// The round it belongs to.
     pub fn round(&self) -> u32 {
         match *self {
-            Phase::Emission { round, .. } | Phase::Gather { round, .. } => round,
-            Phase::Bootstrap { .. } | Phase::Splat { .. } => 0,
+            Phase::Emission { round, .. } | Phase::Gather { round, .. } | Phase::Splat { round, .. } => round,
+            Phase::Bootstrap { .. } => 0,
         }
+    }
+    /// Whether it makes the image of its round.
+    pub const fn makes_image(&self) -> bool {
+        matches!(self, Phase::Gather { .. } | Phase::Splat { .. })
     }
 }
 
@@ -192,14 +199,18 @@ impl PreparedJob {
 
     /// What has to be done, in order. The last phase is always a gather or splat phase.
     pub fn phases(&self) -> Vec<Phase> {
-        if self.settings.has_independent_rounds() {
-            return vec![Phase::Splat { units: u64::from(self.settings.rounds) }];
+        let is_mlt = self.settings.method == Method::Mlt;
+        if !self.is_splatted() {
+            return (0..self.rounds()).flat_map(|round| self.phases_of_round(round)).collect();
         }
-        if self.settings.method == Method::Mlt {
-            let chains = u64::from(self.settings.chains);
-            return vec![Phase::Bootstrap { paths: self.settings.bootstrap }, Phase::Splat { units: chains }];
-        }
-        (0..self.rounds()).flat_map(|round| self.phases_of_round(round)).collect()
+        let bootstrap = is_mlt.then_some(Phase::Bootstrap { paths: self.settings.bootstrap });
+        let units = |round| self.settings.parts_of_round(round).len() as u64;
+        let splats = (0..self.rounds()).map(|round| Phase::Splat { round, units: units(round) });
+        bootstrap.into_iter().chain(splats).collect()
+    }
+    /// Whether the image is made of splats alone, by splat phases.
+    pub fn is_splatted(&self) -> bool {
+        self.settings.method == Method::Mlt || self.settings.has_independent_rounds()
     }
     fn phases_of_round(&self, round: u32) -> impl Iterator<Item = Phase> {
         let emission = |map, e: &Option<EmissionPlan>| {
@@ -212,14 +223,34 @@ impl PreparedJob {
             .flatten()
             .chain([Phase::Gather { round, tiles: self.grid().len() }])
     }
-    /// Number of rounds whose tiles the image is the mean of, ≥ 1.
+    /// Number of rounds that the image is the mean of, ≥ 1.
     pub fn rounds(&self) -> u32 {
-        self.settings.gather_rounds()
+        self.settings.image_rounds()
     }
-    /// An empty film that waits for the tiles of all rounds.
+    /// An empty film that waits for all rounds.
     pub fn accumulator(&self) -> Accumulator {
-        let weight = |round| self.settings.samples_of_round(round).len() as u32;
-        Accumulator::new(self.grid(), self.channels(), (0..self.rounds()).map(weight).collect())
+        let weight = |round| self.settings.parts_of_round(round).len() as u32;
+        let weights: Vec<u32> = (0..self.rounds()).map(weight).collect();
+        let film = if self.settings.merges_rounds() {
+            let blocks = self.settings.blocks().map(|b| b.len).collect();
+            Accumulator::in_blocks(self.grid(), self.channels(), weights, blocks)
+        } else {
+            Accumulator::new(self.grid(), self.channels(), weights)
+        };
+        let film = if self.settings.layers.contains(&Layer::StandardError) { film.with_standard_error() } else { film };
+        match self.blur_of_rounds() {
+            Some(widths) if widths.len() > 1 => film.with_blur(widths),
+            _ => film,
+        }
+    }
+    /// How blurred each block of rounds is, of methods that read maps within a radius that falls.
+    fn blur_of_rounds(&self) -> Option<Vec<f64>> {
+        let reads_maps = self.plan.global.is_some() || self.plan.caustic.is_some();
+        (self.settings.method.has_rounds() && reads_maps).then(|| {
+            let mut all = blur_of_rounds(self.settings.radius_alpha);
+            let blocks = self.settings.blocks();
+            blocks.map(|b| all.by_ref().take(b.len as usize).sum::<f64>() / f64::from(b.len)).collect()
+        })
     }
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {
         if self.settings.method.has_rounds() { self.settings.share_of_round(total, round) } else { total }
@@ -232,16 +263,18 @@ impl PreparedJob {
         let scale = if chains { 1.0 } else { self.scene.lights.total_power().max_component() };
         (planes > 0).then(|| LightImage::new(self.grid(), planes, scale))
     }
-    /// The finished film, from its closed rounds; or from the light image of a splat phase, of which `units` are done.
-    pub fn finish(&self, film: Accumulator, splats: Option<&LightImage>, inputs: &Inputs, units: u64) -> Film {
-        let bootstrap = inputs.bootstrap.as_deref();
-        match splats {
-            Some(light) if self.settings.has_independent_rounds() => film.finish_rounds(light, units),
-            Some(light) if self.settings.method == Method::Mlt => {
-                let scale = bootstrap.map_or(0.0, |b| Mlt::scale(&self.settings, b, units, light.mutations()));
-                film.finish_opaque(light, scale)
+    /// Closes the round in the making, on the current rayon pool: all of its tiles are in `film`, or all of its units in `light`.
+    pub fn close(&self, film: &mut Accumulator, light: Option<&LightImage>, bootstrap: Option<&Bootstrap>) {
+        let units = self.settings.parts_of_round(film.closed_rounds()).len() as u32;
+        match (light, bootstrap) {
+            (Some(light), _) if self.settings.has_independent_rounds() => {
+                film.close_splatted(light, 1.0 / f64::from(units.max(1)));
             }
-            _ => film.finish(),
+            (Some(light), Some(bootstrap)) => {
+                film.close_splatted(light, Mlt::scale(&self.settings, bootstrap, units));
+                film.set_brightness(Mlt::brightness(bootstrap, film.mutations()));
+            }
+            _ => film.close(light),
         }
     }
     /// The tiles of the image.
@@ -275,8 +308,10 @@ impl PreparedJob {
         self.mlt().bootstrap(range)
     }
 
-    /// Computes units `range` of the splat phase, in parallel on the current rayon pool, and adds them to `light`.
-    pub fn splat(&self, inputs: &Inputs, range: EmissionRange, light: &mut LightImage) {
+    /// Computes units `range` of the splat phase of `round`, in parallel on the current rayon pool, and adds them to `light`.
+    pub fn splat(&self, inputs: &Inputs, round: u32, range: EmissionRange, light: &mut LightImage) {
+        let before = u64::from(self.settings.parts_of_round(round).start);
+        let range = EmissionRange { first: before + range.first, end: before + range.end };
         if self.settings.has_independent_rounds() {
             (range.first..range.end).for_each(|round| self.render_round(round as u32, light));
         } else if let Some(bootstrap) = &inputs.bootstrap {

@@ -19,6 +19,7 @@ pub mod import;
 pub mod integrator;
 pub mod job;
 pub mod light;
+pub mod local;
 pub mod material;
 pub mod math;
 pub mod photon;

@@ -126,13 +126,16 @@ pub enum Layer {
     Variance,
     /// Samples taken.
     Samples,
+    /// Standard error of each channel, by what the rounds of the image differ: see
+    /// [`Accumulator::noise`](crate::film::Accumulator::noise). Infinite for a single round.
+    StandardError,
     /// Radiance by each strategy of short paths, weighted and unweighted: see [`Strategy`].
     Strategies,
 }
 
 impl Layer {
     /// All layers in file order.
-    pub const ALL: [Layer; 10] = [
+    pub const ALL: [Layer; 11] = [
         Layer::Direct,
         Layer::Indirect,
         Layer::Caustic,
@@ -142,6 +145,7 @@ impl Layer {
         Layer::Position,
         Layer::Variance,
         Layer::Samples,
+        Layer::StandardError,
         Layer::Strategies,
     ];
     /// Name on the command line and in EXR channel names.
@@ -156,6 +160,7 @@ impl Layer {
             Layer::Position => "position",
             Layer::Variance => "variance",
             Layer::Samples => "samples",
+            Layer::StandardError => "standard-error",
             Layer::Strategies => "strategies",
         }
     }
@@ -163,7 +168,7 @@ impl Layer {
     pub const fn width(self) -> usize {
         match self {
             Layer::Direct | Layer::Indirect | Layer::Caustic | Layer::Albedo | Layer::Variance => 3,
-            Layer::Normal | Layer::Position => 3,
+            Layer::Normal | Layer::Position | Layer::StandardError => 3,
             Layer::Depth | Layer::Samples => 1,
             Layer::Strategies => 3 * Strategy::PLANES as usize,
         }
@@ -172,6 +177,7 @@ impl Layer {
     pub fn channel_names(self) -> Vec<String> {
         let names: &[&str] = match self {
             Layer::Direct | Layer::Indirect | Layer::Caustic | Layer::Albedo | Layer::Variance => &["R", "G", "B"],
+            Layer::StandardError => &["R", "G", "B"],
             Layer::Normal | Layer::Position => &["X", "Y", "Z"],
             Layer::Depth => &["Z"],
             Layer::Samples => &["V"],
@@ -179,9 +185,9 @@ impl Layer {
         };
         names.iter().map(|&n| n.into()).collect()
     }
-    /// Whether it is summed on the light image, so that tiles have nothing of it.
-    pub const fn is_splatted(self) -> bool {
-        matches!(self, Layer::Strategies)
+    /// Whether it is made of whole images, so that tiles have nothing of it.
+    pub const fn is_of_image(self) -> bool {
+        matches!(self, Layer::StandardError | Layer::Strategies)
     }
 }
 
@@ -282,6 +288,17 @@ impl Default for RenderSettings {
     }
 }
 
+/// Consecutive camera samples, chains or rounds: the noise of the image is known by what its blocks differ. They are stretches of
+/// the same low-discrepancy sequences, well stratified in themselves; that all of them together are better stratified still is
+/// not seen, so where that helps the noise is overstated, never understated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// Its first part, from 0.
+    pub first: u32,
+    /// Number of its parts, ≥ 1.
+    pub len: u32,
+}
+
 impl RenderSettings {
     /// Checks every setting against its valid range.
     ///
@@ -329,8 +346,9 @@ impl RenderSettings {
         if self.max_depth == Some(0) {
             return bad("max-depth", "must be at least 1 (1 shows only emission seen directly)".into());
         }
-        if self.has_independent_rounds() && !self.layers.is_empty() {
-            return bad("layers", "independent rounds give the colour only: leave them out, or --merge shared".into());
+        if self.has_independent_rounds() && self.layers.iter().any(|l| !l.is_of_image()) {
+            let text = "independent rounds give the colour and its standard-error only: leave the others out, or --merge shared";
+            return bad("layers", text.into());
         }
         if self.layers.windows(2).any(|w| w[0] >= w[1]) {
             return bad("layers", "each layer may be named once".into());
@@ -398,30 +416,46 @@ impl RenderSettings {
         self.method.has_rounds() && self.merge == Merge::Independent
     }
 
-    /// Rounds of tiles, ≥ 1. Methods without rounds of their own take their camera samples in several of them, so that their
-    /// noise is known while they run and they can end early: 1, 1, 2, 4, … up to an eighth of all.
-    pub fn gather_rounds(&self) -> u32 {
-        if self.has_independent_rounds() || self.method == Method::Mlt {
-            1
-        } else if self.method.has_rounds() {
-            self.rounds
-        } else {
-            self.passes().count().max(1) as u32
+    /// Rounds that the image is the mean of, ≥ 1. Methods without rounds of their own take what they have many of (camera samples,
+    /// chains, whole rounds computed by one worker) in several of them, so that their noise is known while they run and they
+    /// can end early: one for each [`Block`].
+    pub fn image_rounds(&self) -> u32 {
+        if self.merges_rounds() { self.rounds } else { self.blocks().count().max(1) as u32 }
+    }
+    /// Whether the rounds of the image are those of the method, each with maps of its own.
+    pub fn merges_rounds(&self) -> bool {
+        self.method.has_rounds() && self.merge == Merge::Shared
+    }
+    /// Number of camera samples, chains or rounds: what the blocks divide.
+    fn parts(&self) -> u32 {
+        match self.method {
+            Method::Mlt => self.chains,
+            m if m.has_rounds() => self.rounds,
+            _ => self.samples,
         }
     }
-    /// Camera samples of the rounds of a method without rounds of its own.
-    fn passes(&self) -> impl Iterator<Item = std::ops::Range<u32>> {
-        let (samples, most) = (self.samples, self.samples.div_ceil(8));
-        let next = move |first: u32| (first < samples).then(|| first..samples.min(first + first.clamp(1, most)));
-        std::iter::successors(next(0), move |pass| next(pass.end))
+    /// The blocks of a job, in order: 1, 1, 2, 4, … parts, up to an eighth of all.
+    pub fn blocks(&self) -> impl Iterator<Item = Block> + use<> {
+        let (parts, most) = (self.parts(), self.parts().div_ceil(8));
+        let next = move |first: u32| {
+            let len = first.clamp(1, most).min(parts.saturating_sub(first));
+            (len > 0).then_some(Block { first, len })
+        };
+        std::iter::successors(next(0), move |b| next(b.first + b.len))
     }
 
-    /// Numbers of the camera samples of each pixel that `round` takes.
-    pub fn samples_of_round(&self, round: u32) -> std::ops::Range<u32> {
-        if self.method.has_rounds() {
+    /// Numbers of the camera samples of each pixel, chains or independent rounds that `round` of the image takes.
+    pub fn parts_of_round(&self, round: u32) -> std::ops::Range<u32> {
+        if self.merges_rounds() {
             return round..round + 1;
         }
-        self.passes().nth(round as usize).unwrap_or(self.samples..self.samples)
+        let parts = self.parts();
+        self.blocks().nth(round as usize).map_or(parts..parts, |b| b.first..b.first + b.len)
+    }
+
+    /// Numbers of the camera samples of each pixel that a gather of `round` takes; an independent round is one of the method's own.
+    pub fn samples_of_round(&self, round: u32) -> std::ops::Range<u32> {
+        if self.method.has_rounds() { round..round + 1 } else { self.parts_of_round(round) }
     }
 
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.

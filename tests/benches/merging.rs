@@ -156,7 +156,7 @@ fn main() {
             let one = on_one_thread(|| costs(&base));
             let alone = job(Merge::Independent, 1, 1);
             let mut light = alone.light_image().expect("independent rounds have one");
-            alone.splat(&Inputs::default(), EmissionRange { first: 0, end: 1 }, &mut light);
+            alone.splat(&Inputs::default(), 0, EmissionRange { first: 0, end: 1 }, &mut light);
             let image_bytes = payload::light::encode(&light).len() as f64;
             for workers in WORKERS {
                 let cell = |job: &PreparedJob, rounds: u32| format!("{:.2e} ({rounds})", error(name, job));

@@ -1,6 +1,7 @@
 //! Helpers that tests share.
 
 pub mod agree;
+pub mod calibration;
 pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
@@ -61,6 +62,7 @@ pub fn film_pixels_sha256(film: &gatherlight_render::film::Film) -> String {
         non_finite: 0,
         samples: None,
         noise: None,
+        bias: None,
         rounds: None,
         units: None,
     };

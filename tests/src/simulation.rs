@@ -231,13 +231,12 @@ impl World<'_> {
             let most = self.conditions.rounds;
             let rounds = if most > 1 { 1 + self.random.below(u64::from(most)) as u32 } else { 1 };
             let chains = most > 1 && self.random.chance(0.3);
-            let (bootstrap, splat) = (Phase::Bootstrap { paths: global }, Phase::Splat { units: u64::from(tiles) });
-            self.phases.push(match (chains, skip) {
-                (true, 0) => vec![bootstrap, splat, Phase::Gather { round: 0, tiles }],
-                (true, 1) => vec![bootstrap, splat],
-                (true, _) => vec![splat],
+            let bootstrap = (skip < 2).then_some(Phase::Bootstrap { paths: global });
+            let splats = (0..rounds).map(|round| Phase::Splat { round, units: u64::from(tiles) });
+            self.phases.push(match chains {
+                true => bootstrap.into_iter().chain(splats).collect(),
                 // Rounds with maps of their own, or passes that read the first round's.
-                (false, _) => {
+                false => {
                     let passes = most > 1 && self.random.chance(0.3);
                     let of = |r| all(r)[if passes && r > 0 { 2 } else { skip }..].to_vec();
                     (0..rounds).flat_map(of).collect()

@@ -1,14 +1,13 @@
 //! One job computed straight through its phases, without a cluster.
 
-use gatherlight_render::film::Film;
-use gatherlight_render::integrator::Bootstrap;
-use gatherlight_render::job::{Inputs, Phase, PhotonMaps, PreparedJob};
+use gatherlight_render::film::{Accumulator, Film};
+use gatherlight_render::job::{Phase, PhotonMaps, PreparedJob};
+use gatherlight_render::local;
 use gatherlight_render::math::Rgb;
 use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::scene::SceneDigest;
 use gatherlight_render::scene::description::SceneDescription;
 use gatherlight_render::settings::RenderSettings;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Prepares `description` with `settings`; panics with the error's text.
@@ -33,49 +32,17 @@ pub fn maps(job: &PreparedJob, round: u32) -> PhotonMaps {
 
 /// Renders `job` to its film: all its phases, in order.
 pub fn render(job: &PreparedJob) -> Film {
-    let mut film = job.accumulator();
-    let mut splats = None;
-    let mut inputs = Inputs::default();
-    let (mut rounds, mut units) = (0, 0);
-    for phase in job.phases() {
-        match phase {
-            Phase::Emission { round, .. } => {
-                if round == rounds {
-                    inputs.maps = maps(job, round);
-                    rounds += 1;
-                }
-            }
-            Phase::Bootstrap { paths } => {
-                let weights = job.bootstrap(EmissionRange { first: 0, end: paths });
-                inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
-            }
-            Phase::Splat { units: n } => {
-                let mut light = job.light_image().expect("a splat phase has a light image");
-                job.splat(&inputs, EmissionRange { first: 0, end: n }, &mut light);
-                assert_eq!(light.non_finite(), 0, "splats that are not finite");
-                splats = Some(light);
-                units = n;
-            }
-            Phase::Gather { round, tiles } => {
-                let tile = |t| {
-                    let mut own = job.light_image();
-                    (job.gather(&inputs, round, t, own.as_mut()), own)
-                };
-                let rendered: Vec<_> = (0..tiles).into_par_iter().map(tile).collect();
-                let mut light = job.light_image();
-                for (tile, own) in &rendered {
-                    assert_eq!(tile.non_finite, 0, "samples that are not finite in tile {}", tile.index);
-                    film.insert(round, tile).unwrap_or_else(|e| panic!("{e}"));
-                    if let (Some(light), Some(own)) = (light.as_mut(), own) {
-                        light.add(own).unwrap_or_else(|e| panic!("{e}"));
-                    }
-                }
-                assert_eq!(light.as_ref().map_or(0, |l| l.non_finite()), 0, "splats that are not finite");
-                film.close(light.as_ref());
-            }
-        }
-    }
-    job.finish(film, splats.as_ref(), &inputs, units)
+    accumulate(job).finish()
+}
+
+/// Renders all rounds of `job`, whose sums also know their error.
+///
+/// # Panics
+/// When a sample was not finite.
+pub fn accumulate(job: &PreparedJob) -> Accumulator {
+    let run = local::run(job, |_| true);
+    assert_eq!(run.non_finite, 0, "samples or splats that are not finite");
+    run.film
 }
 
 /// Renders a scene made in code.

@@ -146,6 +146,6 @@ fn layers_it_does_not_have_are_refused_with_those_it_has() {
     assert_eq!(error.setting, "layers");
     assert_eq!(
         error.message,
-        "method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies"
+        "method bdpt has no caustic; it has albedo, normal, depth, position, samples, standard-error and strategies"
     );
 }

@@ -23,6 +23,7 @@ fn metadata() -> ImageMetadata {
         non_finite: 3,
         samples: None,
         noise: None,
+        bias: None,
         rounds: None,
         units: None,
     }

@@ -71,13 +71,13 @@ fn bootstrap_and_chains_are_the_same_however_they_are_cut() {
     assert_eq!(inputs.bootstrap.as_ref().expect("set").weights(), whole);
     let chains = |cuts: &[(u64, u64)]| -> LightImage {
         let mut light = job.light_image().expect("a light image");
-        cuts.iter().for_each(|&(first, end)| job.splat(&inputs, EmissionRange { first, end }, &mut light));
+        cuts.iter().for_each(|&(first, end)| job.splat(&inputs, 7, EmissionRange { first, end }, &mut light));
         light
     };
-    let whole = chains(&[(0, 40)]);
-    assert_eq!(whole, chains(&[(30, 40), (0, 1), (1, 30)]));
+    let whole = chains(&[(0, 32)]);
+    assert_eq!(whole, chains(&[(20, 32), (0, 1), (1, 20)]));
     let (large, total) = (whole.mutations().large as f64, whole.mutations().total() as f64);
-    assert_eq!(whole.mutations().total(), u64::from(SIDE * SIDE) * 256 * 40 / 256);
+    assert_eq!(whole.mutations().total(), u64::from(SIDE * SIDE) * 256 * 32 / 256);
     // Binomial with p = 0.3.
     assert!((large - 0.3 * total).abs() < 4.5 * (0.21 * total).sqrt(), "{large} of {total}");
     let m = whole.mutations();
@@ -88,7 +88,8 @@ fn bootstrap_and_chains_are_the_same_however_they_are_cut() {
 #[test]
 fn the_phases_are_a_bootstrap_and_chains_and_darkness_stays_dark() {
     let (job, _) = prepared();
-    assert_eq!(job.phases(), [Phase::Bootstrap { paths: 1_000 }, Phase::Splat { units: 256 }]);
+    let units: u64 = job.phases().iter().filter(|p| p.makes_image()).map(Phase::units).sum();
+    assert_eq!((job.phases()[0], units), (Phase::Bootstrap { paths: 1_000 }, 256));
     let mut dark = transport::glossy_room();
     dark.lights.clear();
     dark.materials.iter_mut().for_each(|m| m.emission = Rgb::BLACK);

@@ -71,14 +71,18 @@ fn independent_rounds_are_the_rounds_of_the_merged_maps() {
         assert!((a - b).abs() <= 1e-6 * a.abs().max(1e-6), "{a} {b}");
     }
     let job = single::prepare(scene, &independent);
-    assert_eq!(job.phases(), [Phase::Splat { units: 8 }]);
+    let splat = |round, units| Phase::Splat { round, units };
+    assert_eq!(job.phases(), (0..8).map(|round| splat(round, 1)).collect::<Vec<_>>());
+    // Four of them make a round of the image.
+    let job = single::prepare(room("glossy"), &RenderSettings { rounds: 32, ..independent });
+    assert_eq!(job.phases()[4], splat(4, 4));
     let rounds = |cuts: &[(u64, u64)]| -> LightImage {
         let mut light = job.light_image().expect("a light image");
         let inputs = Inputs::default();
-        cuts.iter().for_each(|&(first, end)| job.splat(&inputs, EmissionRange { first, end }, &mut light));
+        cuts.iter().for_each(|&(first, end)| job.splat(&inputs, 4, EmissionRange { first, end }, &mut light));
         light
     };
-    assert_eq!(rounds(&[(0, 8)]), rounds(&[(5, 8), (0, 2), (2, 5)]));
+    assert_eq!(rounds(&[(0, 4)]), rounds(&[(3, 4), (0, 1), (1, 3)]));
 }
 
 #[test]

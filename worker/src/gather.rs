@@ -30,14 +30,19 @@ pub fn compute(job: &PreparedJob, inputs: &Inputs, round: u32, range: EmissionRa
     (gather::encode(&rendered, job.channels().len(), light.as_ref()), begun.elapsed())
 }
 
-/// Computes units `range` of the splat phase and encodes their light image; also returns the time it took.
+/// Computes units `range` of the splat phase of `round` and encodes their light image; also returns the time it took.
 ///
 /// # Errors
 /// When the method has no light image.
-pub fn compute_splat(job: &PreparedJob, inputs: &Inputs, range: EmissionRange) -> Result<(Bytes, Duration), TaskError> {
+pub fn compute_splat(
+    job: &PreparedJob,
+    inputs: &Inputs,
+    round: u32,
+    range: EmissionRange,
+) -> Result<(Bytes, Duration), TaskError> {
     let begun = Instant::now();
     let mut image = job.light_image().ok_or(TaskError::NoLightImage)?;
-    job.splat(inputs, range, &mut image);
+    job.splat(inputs, round, range, &mut image);
     Ok((light::encode(&image), begun.elapsed()))
 }
 

@@ -74,7 +74,7 @@ fn limit(text: &str) -> Result<f64, String> {
     valid.ok_or_else(|| format!("{text:?} is no error; write a number from 0 up, such as 0.01"))
 }
 
-fn read(path: &Path) -> Result<Image, CliError> {
+pub(super) fn read(path: &Path) -> Result<Image, CliError> {
     let bytes = std::fs::read(path).map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => CliError::Usage(format!("there is no file {}", path.display())),
         _ => CliError::Usage(format!("cannot read {}: {e}", path.display())),

@@ -2,8 +2,10 @@
 
 use super::error::CliError;
 use super::format::parse_duration;
+use super::progress::warn;
 use crate::types::Limits;
 use clap::Args;
+use gatherlight_render::settings::Method;
 use std::time::Duration;
 
 /// Limits of a job.
@@ -13,8 +15,8 @@ pub(super) struct LimitArgs {
     /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     time_limit: Option<Duration>,
-    /// Begin no further round once the pixels' standard error is this share of their value, e.g. 1% or 0.01; noise only: the blur
-    /// of photon maps is not in it
+    /// Begin no further round once the pixels' error (noise, and the bias of rounds that are blurred) is this share of their value,
+    /// e.g. 1% or 0.01
     #[arg(long, value_name = "E", value_parser = parse_share)]
     target_error: Option<f32>,
 }
@@ -27,19 +29,23 @@ fn parse_share(text: &str) -> Result<f32, String> {
 }
 
 impl LimitArgs {
-    /// The limits of a job that can end early, or not, and whose error will be known, or not.
+    /// The limits of a job by `method` that has several rounds, or not.
     ///
     /// # Errors
     /// When there is a limit that can never end the job.
-    pub(super) fn limits(self, can_end_early: bool, knows_error: bool) -> Result<Limits, CliError> {
-        if self.time_limit.is_some() && !can_end_early {
-            let text = "--time-limit ends a job between two rounds or Markov chains, and this one has a single round";
-            return Err(CliError::Usage(text.into()));
+    pub(super) fn limits(self, method: Method, has_rounds: bool) -> Result<Limits, CliError> {
+        let more = "this job has a single one: take more than one sample, round or chain";
+        if self.time_limit.is_some() && !has_rounds {
+            return Err(CliError::Usage(format!("--time-limit ends a job between two rounds, and {more}")));
         }
-        if self.target_error.is_some() && !knows_error {
-            let text = "--target-error needs rounds to know the error by, and this job has a single one: leave out --merge \
-                        independent, take another method than mlt, or more than one sample";
-            return Err(CliError::Usage(text.into()));
+        if self.target_error.is_some() && !has_rounds {
+            return Err(CliError::Usage(format!("--target-error needs rounds to know the error by, and {more}")));
+        }
+        if self.target_error.is_some() && method == Method::Photon {
+            warn(
+                "--target-error: all passes read the same photon maps, whose own noise and blur are not in the error; method \
+                 progressive knows both",
+            );
         }
         Ok(Limits { time: self.time_limit, error: self.target_error })
     }

@@ -7,6 +7,7 @@ mod cancel;
 mod compare;
 mod completions;
 mod connection;
+mod converge;
 mod error;
 mod fetch;
 pub(crate) mod format;
@@ -37,6 +38,7 @@ Examples:
   gatherlight render scene.glb -o image.png --samples 8  a quick look, with a preview
   gatherlight plan scene.glb                             what would be computed, and why
   gatherlight compare image.exr reference.exr            how far the image is from another
+  gatherlight converge scene.glb --time 30s              error over time of all methods
   gatherlight serve --listen 0.0.0.0:7420                a coordinator for a cluster
   gatherlight submit scene.glb -o image.exr --coordinator http://host:7420
 
@@ -65,6 +67,7 @@ enum Command {
     Render(render::RenderArgs),
     Plan(plan::PlanArgs),
     Compare(compare::CompareArgs),
+    Converge(converge::ConvergeArgs),
     Serve(serve::ServeArgs),
     Submit(submit::SubmitArgs),
     Jobs(jobs::JobsArgs),
@@ -92,6 +95,7 @@ pub fn main() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Plan(args) => plan::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Converge(args) => converge::run(&args),
         Command::Serve(args) => serve::run(&args),
         Command::Submit(args) => submit::run(&args),
         Command::Jobs(args) => jobs::run(&args),

@@ -5,7 +5,7 @@ use super::format::bytes;
 use super::progress::warn;
 use super::scene::Loaded;
 use crate::report;
-use crate::schedule::job::{can_end_early, closes_rounds};
+use crate::schedule::job::closes_rounds;
 use gatherlight_render::auto::Choice;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::plan::{EmissionPlan, Plan, PlanEntry, Saving};
@@ -25,10 +25,8 @@ pub(super) struct Preflight {
     pub(super) warnings: Vec<String>,
     /// The plan for scripts.
     pub(super) json: Value,
-    /// Whether a limit can end the job before all its work is done.
-    pub(super) can_end_early: bool,
-    /// Whether its error will be known, by rounds that can be compared.
-    pub(super) knows_error: bool,
+    /// Whether it has several rounds: a limit can end it between them, and its error is known by comparing them.
+    pub(super) has_rounds: bool,
 }
 
 impl Preflight {
@@ -51,8 +49,7 @@ impl Preflight {
             costs: costs(job.plan()),
             warnings: job.warnings().to_vec(),
             json: plan_json(job, choice),
-            can_end_early: can_end_early(&phases),
-            knows_error: closes_rounds(&phases),
+            has_rounds: closes_rounds(&phases),
         }
     }
 
@@ -148,7 +145,7 @@ fn phase_json(phase: &Phase) -> Value {
             json!({ "phase": "emission", "round": round, "map": map.name(), "paths": paths })
         }
         Phase::Bootstrap { paths } => json!({ "phase": "bootstrap", "paths": paths }),
-        Phase::Splat { units } => json!({ "phase": "splat", "units": units }),
+        Phase::Splat { round, units } => json!({ "phase": "splat", "round": round, "units": units }),
         Phase::Gather { round, tiles } => json!({ "phase": "gather", "round": round, "tiles": tiles }),
     }
 }

@@ -253,7 +253,9 @@ fn running_text(state: Option<&JobState>, f: Figures, workers: u32) -> String {
 
 /// The error so far, where it is known.
 fn noise_text(p: &JobProgress) -> String {
-    p.stats.noise.map_or_else(String::new, |n| format!("error {:.2} %", 100.0 * n.relative))
+    let noise = p.stats.noise.map(|n| format!("error {:.2} %", 100.0 * n.relative));
+    let bias = p.stats.bias.map(|b| format!("bias {:.2} %", 100.0 * b.relative));
+    [noise, bias].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// The parts that say something.

@@ -58,7 +58,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job, &choice);
     preflight.report_warnings(args.strict)?;
-    let limits = args.limits.limits(preflight.can_end_early, preflight.knows_error)?;
+    let limits = args.limits.limits(settings.method, preflight.has_rounds)?;
     args.messages.note(&preflight.text(false));
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };

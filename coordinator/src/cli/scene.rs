@@ -7,7 +7,7 @@ use gatherlight_render::auto::Choice;
 use gatherlight_render::import::{self, SceneBundle, Wanted};
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::scene::description::SceneDescription;
-use gatherlight_render::settings::RenderSettings;
+use gatherlight_render::settings::{Method, RenderSettings};
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -62,6 +62,27 @@ impl SceneArgs {
             args.fit_memory(&mut settings, job.plan(), memory)?;
         }
         Ok(Loaded { bundle, settings, choice })
+    }
+}
+
+impl SceneArgs {
+    /// Reads the scene with every file it names, and makes the settings of each of `methods`; returns also the one that the scene
+    /// asks for.
+    ///
+    /// # Errors
+    /// When a file cannot be read, a setting makes no sense, or one of the methods does not use it.
+    pub(super) fn load_for(&self, methods: &[Method]) -> Result<(SceneBundle, Vec<RenderSettings>, Method), CliError> {
+        let args = &self.settings;
+        if args.names_method() {
+            return Err(CliError::Usage("--method: name the methods by --methods".into()));
+        }
+        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let bundle = read_bundle_for(&self.scene, wanted)?;
+        let outline = Wanted { images: false, ..wanted };
+        let description = import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?;
+        let aspect = camera_aspect(&description.cameras, &args.camera());
+        let settings = methods.iter().map(|&m| args.settings(m, aspect)).collect::<Result<_, _>>()?;
+        Ok((bundle, settings, args.method(&description)?.method))
     }
 }
 

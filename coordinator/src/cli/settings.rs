@@ -101,6 +101,11 @@ impl SettingsArgs {
         self.sized(method, self.width.unwrap_or(1), self.height.unwrap_or(1)).map(drop)
     }
 
+    /// Whether a method is named.
+    pub(super) fn names_method(&self) -> bool {
+        self.method.0.is_some()
+    }
+
     /// The method named, or the one that `scene` asks for.
     ///
     /// # Errors

@@ -55,7 +55,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let loaded = args.scene.load()?;
     let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
-    let limits = args.limits.limits(preflight.can_end_early, preflight.knows_error)?;
+    let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
     args.messages.note(&preflight.text(false));
     let Loaded { bundle, settings, .. } = loaded;
     let Preflight { plan, warnings, .. } = preflight;

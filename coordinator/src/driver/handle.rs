@@ -67,7 +67,7 @@ pub enum SubmitError {
         limit: u64,
     },
     /// The job has a time limit that can never end it.
-    #[error("a time limit ends a job between two rounds or splat units, and this one has a single round: method {0}")]
+    #[error("a time limit ends a job between two rounds, and this one has a single round: method {0}")]
     TimeLimit(&'static str),
     /// The job has an error limit and nothing to know its error by.
     #[error("an error limit needs rounds to compare, and this job has none: method {0}")]

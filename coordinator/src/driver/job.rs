@@ -63,8 +63,8 @@ pub(super) struct JobRecord {
     state: JobState,
     round: u32,
     rounds: u32,
-    /// Tiles of all rounds.
-    tiles: u64,
+    /// Tiles or splat units of all rounds.
+    image_units: u64,
     state_since: Duration,
     progress: watch::Sender<JobProgress>,
 }
@@ -75,13 +75,13 @@ impl JobRecord {
         let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
         let (grid, channels) = (prepared.grid(), prepared.channels());
         let prepared_rounds = prepared.rounds();
-        let tiles = u64::from(grid.len()) * u64::from(prepared_rounds);
+        let image_units = phases.iter().filter(|p| p.makes_image()).map(Phase::units).sum();
         let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
         let about = About::new(&prepared, phases);
         let maps = map_stats(phases);
         let stats = JobStats { maps, k: settings.k, gather_radius: settings.max_radius, ..JobStats::default() };
         // Passes over the pixels are one phase to whoever watches.
-        let rounds = if settings.method.has_rounds() { prepared_rounds } else { 1 };
+        let rounds = if settings.merges_rounds() { prepared_rounds } else { 1 };
         let first = JobProgress { rounds, ..snapshot(id, &name, &stats) };
         JobRecord {
             id,
@@ -101,7 +101,7 @@ impl JobRecord {
             state: JobState::Waiting,
             round: 0,
             rounds,
-            tiles,
+            image_units,
             state_since: now,
             progress: watch::Sender::new(first),
         }
@@ -187,18 +187,22 @@ impl JobRecord {
             }
         }
         match in_stage(Stage::Working).next() {
-            Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => (JobState::Splat, done(s)),
+            Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => {
+                (JobState::Splat, self.image_done(job, Kind::Splat, done(s)))
+            }
             Some(s) => self.gathering(job, round, workers, done(s)),
-            None => (JobState::Gather, self.tiles_done(job, (0, 0))),
+            // A round is being closed.
+            None if self.about.has_units() => (JobState::Splat, self.image_done(job, Kind::Splat, (0, 0))),
+            None => (JobState::Gather, self.image_done(job, Kind::Gather, (0, 0))),
         }
     }
-    /// Tiles done and in all: those of the round, or of all passes.
-    fn tiles_done(&self, job: &Job, of_round: (u64, u64)) -> (u64, u64) {
-        if self.rounds == 1 { (job.total(Kind::Gather).units, self.tiles) } else { of_round }
+    /// Tiles or splat units done and in all: those of the round, or of all passes.
+    fn image_done(&self, job: &Job, kind: Kind, of_round: (u64, u64)) -> (u64, u64) {
+        if self.rounds == 1 { (job.total(kind).units, self.image_units) } else { of_round }
     }
     /// The state of a gather phase: maps are on their way until the first tiles are there.
     fn gathering(&self, job: &Job, round: u32, workers: u64, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
-        let tiles = self.tiles_done(job, tiles);
+        let tiles = self.image_done(job, Kind::Gather, tiles);
         let bytes: u64 = job.maps(round).iter().map(|m| m.bytes).sum();
         let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes * workers.max(1));
         if tiles.0 == 0 && bytes > 0 && sent < total {

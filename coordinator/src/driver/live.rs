@@ -10,7 +10,7 @@ use crate::types::JobStats;
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::InputRef;
-use gatherlight_render::film::{Accumulator, LightImage, Noise, Tile};
+use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -122,7 +122,10 @@ impl Live {
                 self.luminances.insert(first, part);
                 Ok(())
             }
-            (Payload::Light(light), Phase::Splat { .. }) => self.add_light(light, stats),
+            (Payload::Light(light), Phase::Splat { round, .. }) => {
+                count_light(&light, stats);
+                self.add_to_round(round, Vec::new(), Some(light))
+            }
             (Payload::Tiles(tiles, light), Phase::Gather { round, .. }) => {
                 for tile in &tiles {
                     stats.rays = stats.rays.saturating_add(tile.rays);
@@ -131,12 +134,12 @@ impl Live {
                 if let Some(light) = &light {
                     count_light(light, stats);
                 }
-                self.add_tiles(round, tiles, light)
+                self.add_to_round(round, tiles, light)
             }
             _ => Err("a result is of another kind than its task".into()),
         }
     }
-    fn add_tiles(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
+    fn add_to_round(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
         if matches!(self.film, FilmState::Empty) {
             self.film = FilmState::Here(Box::new(self.prepared.accumulator()));
         }
@@ -151,26 +154,25 @@ impl Live {
             }
         }
     }
-    fn add_light(&mut self, light: LightImage, stats: &mut JobStats) -> Result<(), String> {
-        count_light(&light, stats);
-        self.put_light(Some(light))
-    }
     fn put_light(&mut self, light: Option<LightImage>) -> Result<(), String> {
         let Some(light) = light else { return Ok(()) };
         self.light.as_ref().ok_or("the method has no light image")?.sum.put(light);
         Ok(())
     }
 
-    /// What `round` is closed with, once all of its tiles are there: the film and what was splatted.
-    pub(super) fn take_round(&mut self, round: u32) -> Option<Round> {
+    /// What the round of `phase` is closed with, once all of its tiles or units are there: the film and what was splatted.
+    pub(super) fn take_round(&mut self, phase: Phase) -> Option<Round> {
         let FilmState::Here(film) = std::mem::replace(&mut self.film, FilmState::Closing) else { return None };
-        Some(Round { round, film, light: self.light.clone(), target: self.target })
+        let (prepared, bootstrap) = (self.prepared.clone(), self.bootstrap.clone());
+        Some(Round { phase, film, light: self.light.clone(), prepared, bootstrap, target: self.target })
     }
     /// Takes back the film of a closed round, and adds what came meanwhile of the next.
     pub(super) fn closed(&mut self, film: Box<Accumulator>) -> Result<(), String> {
         let round = film.closed_rounds();
         self.film = FilmState::Here(film);
-        std::mem::take(&mut self.early).into_iter().try_for_each(|(tiles, light)| self.add_tiles(round, tiles, light))
+        std::mem::take(&mut self.early)
+            .into_iter()
+            .try_for_each(|(tiles, light)| self.add_to_round(round, tiles, light))
     }
 
     /// What the map of a round is built from.
@@ -223,7 +225,6 @@ impl Live {
             film,
             rounds: done.rounds,
             light: self.light.take().map(|l| l.sum),
-            units: done.units,
             bootstrap: self.bootstrap.clone(),
         }
     }
@@ -231,9 +232,11 @@ impl Live {
 
 /// A round that is complete, on its way through the compute threads.
 pub(super) struct Round {
-    round: u32,
+    phase: Phase,
     film: Box<Accumulator>,
     light: Option<LightParts>,
+    prepared: Arc<PreparedJob>,
+    bootstrap: Option<Arc<Bootstrap>>,
     target: Option<f32>,
 }
 
@@ -243,17 +246,21 @@ impl Round {
     /// # Errors
     /// When tiles are missing, or a light image is of another job.
     pub(super) fn close(self) -> Result<ClosedRound, String> {
-        let Round { round, mut film, light, target } = self;
-        if film.closed_rounds() != round || !film.is_round_complete() {
+        let Round { phase, mut film, light, prepared, bootstrap, target } = self;
+        let (round, tiles) = (phase.round(), matches!(phase, Phase::Gather { .. }));
+        if film.closed_rounds() != round || (tiles && !film.is_round_complete()) {
             return Err(format!("tiles are missing from round {round}"));
         }
         let sum = |parts: LightParts| parts.sum.finish(LightImage::clone(&parts.empty)).map_err(|e| e.to_string());
         let light = light.map(sum).transpose()?;
-        film.close(light.as_ref());
+        prepared.close(&mut film, light.as_ref(), bootstrap.as_deref());
         let noise = film.noise();
-        let good =
-            |n: Noise| film.closed_rounds() >= LEAST_ROUNDS && target.is_some_and(|t| n.relative <= f64::from(t));
-        Ok(ClosedRound { round, is_good_enough: noise.is_some_and(good), noise, film })
+        let bias = film.bias();
+        let is_known =
+            film.closed_rounds() >= LEAST_ROUNDS && noise.is_some() && (bias.is_some() || !film.is_blurred());
+        let error = noise.map(|n| n.relative.hypot(bias.map_or(0.0, |b| b.relative)));
+        let is_good_enough = is_known && error.zip(target).is_some_and(|(error, target)| error <= f64::from(target));
+        Ok(ClosedRound { round, is_good_enough, noise, bias, film })
     }
 }
 
@@ -266,6 +273,7 @@ pub(crate) struct ClosedRound {
     pub(super) round: u32,
     pub(super) is_good_enough: bool,
     pub(super) noise: Option<Noise>,
+    pub(super) bias: Option<Bias>,
     pub(super) film: Box<Accumulator>,
 }
 
@@ -364,7 +372,8 @@ mod tests {
                 let phase = Phase::Gather { round, tiles: grid.len() };
                 live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
             }
-            let closed = live.take_round(round).expect("is there").close().unwrap();
+            let closed =
+                live.take_round(Phase::Gather { round, tiles: grid.len() }).expect("is there").close().unwrap();
             live.closed(closed.film).unwrap();
             // As the scheduler has it: the next round's map is there before this round is over.
             if round > 0 {

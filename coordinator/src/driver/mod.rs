@@ -16,7 +16,7 @@ pub(crate) use handle::{Built, Image, Made};
 
 use crate::compute::Compute;
 use crate::random::random_u64;
-use crate::schedule::job::{can_end_early, closes_rounds};
+use crate::schedule::job::closes_rounds;
 use crate::schedule::{Command, Event, Policy, Scheduler};
 use crate::store::Store;
 use crate::types::JobId;
@@ -184,7 +184,7 @@ impl Driver {
             return Ok(job.id);
         }
         let phases = spec.prepared.phases();
-        if spec.limits.time.is_some() && !can_end_early(&phases) {
+        if spec.limits.time.is_some() && !closes_rounds(&phases) {
             return Err(SubmitError::TimeLimit(spec.settings.method.name()));
         }
         if spec.limits.error.is_some() && !closes_rounds(&phases) {

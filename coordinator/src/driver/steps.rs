@@ -15,7 +15,7 @@ use gatherlight_render::job::Phase;
 use tokio::sync::mpsc;
 
 impl Driver {
-    /// Joins the results of an emission or bootstrap phase, or closes the round of a gather.
+    /// Joins the results of an emission or bootstrap phase, or closes the round of a gather or splat.
     pub(super) fn build(&mut self, id: JobId, phase: Phase) {
         let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
         let (own, sink) = (self.own.clone(), live.sink());
@@ -29,13 +29,12 @@ impl Driver {
                 let luminances = live.take_luminances();
                 self.compute.spawn(move || merge::build_bootstrap(paths, luminances, sink.as_deref()), built);
             }
-            Phase::Gather { round, .. } => {
-                let Some(round) = live.take_round(round) else { return };
+            Phase::Gather { .. } | Phase::Splat { .. } => {
+                let Some(round) = live.take_round(phase) else { return };
                 let own = self.own.clone();
                 let closed = move |result| report(&own, Input::Closed(id, flat(result)));
                 self.compute.spawn(move || round.close(), closed);
             }
-            Phase::Splat { .. } => {}
         }
         self.refresh(id);
     }
@@ -68,7 +67,7 @@ impl Driver {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let Some(live) = job.live.as_mut() else { return };
         let result = closed.and_then(|c| {
-            job.stats.noise = c.noise;
+            (job.stats.noise, job.stats.bias) = (c.noise, c.bias);
             live.closed(c.film).map(|()| (c.round, c.is_good_enough))
         });
         match result {

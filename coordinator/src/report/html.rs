@@ -7,7 +7,8 @@ const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 320.0;
 const MARGIN: f64 = 56.0;
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
+/// Style of every page.
+pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
 table{border-collapse:collapse;margin:.5rem 0}td,th{padding:.15rem .8rem .15rem 0;text-align:left;vertical-align:top}\
 th{font-weight:600}td.n{text-align:right;font-variant-numeric:tabular-nums}svg text{font:12px system-ui,sans-serif;fill:#444}\
 .warn{color:#a40}";
@@ -81,26 +82,50 @@ fn errors(out: &mut String, timeline: &Value) {
             return;
         }
         let fitted = timeline[slope].as_f64().map_or(String::new(), |s| format!(", slope {s:.2}"));
-        plot(out, &points, &format!("relative standard error over {name} in seconds{fitted}"));
+        let caption = format!("relative standard error over {name} in seconds{fitted}");
+        let biases: Vec<[f64; 2]> = list(&timeline["error"])
+            .iter()
+            .filter_map(|e| Some([e[time].as_f64()?, e["relative_bias"].as_f64()?]))
+            .filter(|p| p.iter().all(|v| *v > 0.0))
+            .collect();
+        let mut curves = vec![Curve { name: "noise".into(), points }];
+        if biases.len() > 1 {
+            curves.push(Curve { name: "bias".into(), points: biases });
+        }
+        plot(out, &curves, &caption);
     }
 }
 
-/// A curve in logarithms on both axes, with lines at powers of ten and their halves.
-fn plot(out: &mut String, points: &[[f64; 2]], caption: &str) {
+/// A named curve of a plot; its coordinates are above 0.
+pub struct Curve {
+    /// Its name in the legend.
+    pub name: String,
+    /// Its points, in order.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// Colours of the curves, told apart by colour-blind readers too (Okabe and Ito 2008).
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+
+/// Curves in logarithms on both axes, with lines at powers of ten and their halves; a legend where there are several.
+pub fn plot(out: &mut String, curves: &[Curve], caption: &str) {
     let range = |i: usize| {
-        let (low, high) = points.iter().fold((f64::INFINITY, 0.0f64), |(a, b), p| (a.min(p[i]), b.max(p[i])));
+        let all = curves.iter().flat_map(|c| &c.points);
+        let (low, high) = all.fold((f64::INFINITY, 0.0f64), |(a, b), p| (a.min(p[i]), b.max(p[i])));
         let (low, high) = (low.log10(), high.log10());
         let pad = 0.05 * (high - low).max(0.1);
         (low - pad, high + pad)
     };
+    // The legend stands beside the curves.
+    let right = WIDTH - if curves.len() > 1 { 2.0 } else { 0.5 } * MARGIN;
     let ranges = [range(0), range(1)];
     let place = |i: usize, value: f64| {
         let (low, high) = ranges[i];
         let share = (value.log10() - low) / (high - low);
-        if i == 0 { MARGIN + share * (WIDTH - 1.5 * MARGIN) } else { HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN) }
+        if i == 0 { MARGIN + share * (right - MARGIN) } else { HEIGHT - MARGIN - share * (HEIGHT - 1.5 * MARGIN) }
     };
     let _ = write!(out, "<figure><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">");
-    let (left, right, top, bottom) = (MARGIN, WIDTH - 0.5 * MARGIN, 0.5 * MARGIN, HEIGHT - MARGIN);
+    let (left, top, bottom) = (MARGIN, 0.5 * MARGIN, HEIGHT - MARGIN);
     for (i, &(low, high)) in ranges.iter().enumerate() {
         for tick in ticks(low, high) {
             let at = place(i, tick);
@@ -122,11 +147,24 @@ fn plot(out: &mut String, points: &[[f64; 2]], caption: &str) {
             };
         }
     }
-    let line: Vec<String> = points.iter().map(|p| format!("{:.1},{:.1}", place(0, p[0]), place(1, p[1]))).collect();
-    let _ = write!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/>", line.join(" "));
-    for p in points {
-        let _ =
-            write!(out, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\" fill=\"#06c\"/>", place(0, p[0]), place(1, p[1]));
+    for (i, curve) in curves.iter().enumerate() {
+        let colour = COLOURS[i % COLOURS.len()];
+        let places: Vec<[f64; 2]> = curve.points.iter().map(|p| [place(0, p[0]), place(1, p[1])]).collect();
+        let line: Vec<String> = places.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+        let line = line.join(" ");
+        let _ = write!(out, "<polyline points=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>");
+        for [x, y] in &places {
+            let _ = write!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{colour}\"/>");
+        }
+        if curves.len() > 1 {
+            let (x, y, name) = (right + 8.0, top + 16.0 * (i as f64 + 1.0), escape(&curve.name));
+            let _ = write!(
+                out,
+                "<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"4\" fill=\"{colour}\"/><text x=\"{}\" y=\"{y}\">{name}</text>",
+                y - 6.0,
+                x + 18.0
+            );
+        }
     }
     let _ = writeln!(out, "</svg><figcaption>{}</figcaption></figure>", escape(caption));
 }
@@ -167,7 +205,8 @@ fn seconds(value: &Value) -> String {
     value.as_f64().map_or_else(String::new, |s| format!("{s:.2} s"))
 }
 
-fn escape(text: &str) -> String {
+/// Text as it stands in HTML.
+pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

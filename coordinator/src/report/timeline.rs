@@ -17,6 +17,8 @@ pub struct ErrorPoint {
     pub standard_error: f64,
     /// The same relative to each pixel, see [`Noise`](gatherlight_render::film::Noise).
     pub relative: f64,
+    /// Bias relative to each pixel, where it is known.
+    pub relative_bias: Option<f64>,
 }
 
 /// Wall time that a job spent in one state, over all rounds.
@@ -61,7 +63,8 @@ impl Timeline {
         {
             let (standard_error, relative) = (noise.standard_error, noise.relative);
             let (elapsed, busy) = (p.elapsed, p.stats.busy);
-            self.errors.push(ErrorPoint { elapsed, busy, rounds, standard_error, relative });
+            let relative_bias = p.stats.bias.map(|b| b.relative);
+            self.errors.push(ErrorPoint { elapsed, busy, rounds, standard_error, relative, relative_bias });
         }
     }
 
@@ -96,6 +99,7 @@ impl Timeline {
                     "rounds": e.rounds,
                     "standard_error": e.standard_error,
                     "relative_standard_error": Some(e.relative).filter(|r| r.is_finite()),
+                    "relative_bias": e.relative_bias,
                 })
             })
             .collect();

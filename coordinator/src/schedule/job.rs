@@ -6,16 +6,16 @@
 //! ```text
 //!                          all indices done        input made, or round closed
 //!  emission, bootstrap:  Working ───► Building ───► Complete
-//!  gather of a round:    Working ───► Building ───► Complete
-//!  only gather, splat:   Working ─────────────────► Complete
+//!  image of a round:     Working ───► Building ───► Complete
+//!  image of only one:    Working ─────────────────► Complete
 //!
 //!                     all of round r complete:              after the last round,
 //!                     its maps are retired                  or when a limit is reached
 //!  the job:   round 0 ───► … ───► round r ───► round r + 1 ───► … ───► Assembling ───► Done
 //!                └───────────────────┴─────────────┴───────────────────────┴─────────► Failed | Cancelled
 //! ```
-//! - An emission or bootstrap is open as soon as it is in the window; a gather once all maps of its round are built and
-//!   nothing of the gather before it is left to hand out; a splat once its bootstrap is built.
+//! - The image of a round is made by a gather or a splat. An emission or bootstrap is open as soon as it is in the window; a gather
+//!   or splat once all maps of its round and the bootstrap are built and nothing of the one before it is left to hand out.
 //! - A gather reads the latest maps: those of its own round, or of the last round before it that had any.
 //! - Rounds are closed in order. What is computed of a round before the one before it is closed waits for that.
 //! - Open phases are handed out in order: the next one gives work only where nothing of those before is left. So one map
@@ -23,8 +23,7 @@
 //!   finished.
 //! - Emission is at most one round ahead of the gather. So there are never more than two rounds' photons anywhere, however
 //!   many rounds there are.
-//! - A limit ends the job between two rounds, and a splat phase between two leases: what is handed out is finished, and
-//!   counts.
+//! - A limit ends the job between two rounds.
 
 use super::work::{Kind, Retry, Total, Work};
 use core::time::Duration;
@@ -81,6 +80,8 @@ pub struct Job {
     rounds_done: u32,
     /// Maps of rounds that are over, which later rounds read too.
     kept: Vec<MapRef>,
+    /// The bootstrap, which all rounds read.
+    bootstrap: Option<BlobRef>,
     /// The image is as good as was asked for.
     is_good_enough: bool,
     /// The time limit is reached.
@@ -95,9 +96,9 @@ pub struct Job {
 /// What the image is made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Done {
-    /// Rounds of the gather phase.
+    /// Rounds.
     pub rounds: u32,
-    /// Units of the splat phase.
+    /// Units of their splat phases.
     pub units: u64,
     /// The limit that ended it before all rounds and units were done.
     pub ended_by: Option<Limit>,
@@ -108,7 +109,7 @@ pub struct Done {
 pub enum Next {
     /// Nothing new.
     Nothing,
-    /// Join the results of this emission or bootstrap phase, or close the round of this gather.
+    /// Join the results of this emission or bootstrap phase, or close the round of this gather or splat.
     Build(Phase),
     /// Drop the maps of this round.
     Retire(u32),
@@ -116,19 +117,13 @@ pub enum Next {
     Assemble(Done),
 }
 
-/// Whether a job with these phases can end before all its work is done: between two rounds, or two units.
-pub fn can_end_early(phases: &[Phase]) -> bool {
-    let round = |p: Option<&Phase>| p.map_or(0, Phase::round);
-    round(phases.first()) != round(phases.last()) || phases.iter().any(|p| matches!(p, Phase::Splat { .. }))
-}
-
-/// Whether a job with these phases has rounds that are closed one by one, and so can be compared: several gathers.
+/// Whether a job with these phases has several rounds: they are closed one by one, can be compared, and the job can end between them.
 pub fn closes_rounds(phases: &[Phase]) -> bool {
-    phases.iter().filter(|p| Kind::of(**p) == Kind::Gather).nth(1).is_some()
+    phases.iter().filter(|p| p.makes_image()).nth(1).is_some()
 }
 
-/// Whether the phases are rounds 0, 1, … of emissions with one gather behind them; the first may have a splat phase,
-/// with or without a bootstrap before it.
+/// Whether the phases are rounds 0, 1, …, each of emissions with a gather behind them, or of a splat; with or without a bootstrap
+/// in the first.
 fn make_sense(phases: &[Phase]) -> bool {
     let mut rounds = 0;
     let ordered = phases.chunk_by(|a, b| a.round() == b.round()).all(|round| {
@@ -142,13 +137,11 @@ fn make_sense(phases: &[Phase]) -> bool {
 fn is_round(round: &[Phase]) -> bool {
     let place = |p: &dyn Fn(&Phase) -> bool| round.iter().position(p);
     let count = |kind: Kind| round.iter().filter(|&&p| Kind::of(p) == kind).count();
-    let last = |kind: Kind| round.iter().rposition(|&p| Kind::of(p) == kind);
-    let gather = place(&|p| matches!(p, Phase::Gather { .. }));
-    let splat = place(&|p| matches!(p, Phase::Splat { .. }));
+    let has_splat = count(Kind::Splat) > 0;
     round.iter().all(|&p| count(Kind::of(p)) == 1)
-        && MapKind::ALL.iter().all(|&m| last(Kind::Emission(m)).is_none_or(|e| gather.is_some_and(|g| e < g)))
-        && last(Kind::Bootstrap).is_none_or(|b| splat.is_some_and(|s| b < s))
-        && gather.max(splat) == round.len().checked_sub(1)
+        && place(&|p| p.makes_image()) == round.len().checked_sub(1)
+        && MapKind::ALL.iter().all(|&m| count(Kind::Emission(m)) == 0 || !has_splat)
+        && (count(Kind::Bootstrap) == 0 || has_splat)
 }
 
 impl Job {
@@ -165,6 +158,7 @@ impl Job {
             totals: BTreeMap::new(),
             rounds_done: 0,
             kept: Vec::new(),
+            bootstrap: None,
             is_good_enough: false,
             is_late: false,
             ended_by: None,
@@ -210,11 +204,10 @@ impl Job {
         let mut before = self.window.iter().take(place);
         match self.window[place].work.phase {
             Phase::Emission { .. } | Phase::Bootstrap { .. } => true,
-            Phase::Splat { .. } => before.all(|s| s.is_complete() || !matches!(s.work.phase, Phase::Bootstrap { .. })),
-            Phase::Gather { round, .. } => before.all(|s| match s.work.phase {
+            Phase::Gather { round, .. } | Phase::Splat { round, .. } => before.all(|s| match s.work.phase {
                 Phase::Emission { round: r, .. } => s.is_complete() || r != round,
-                Phase::Gather { .. } => s.work.waiting() == 0,
-                _ => true,
+                Phase::Bootstrap { .. } => s.is_complete(),
+                Phase::Gather { .. } | Phase::Splat { .. } => s.work.waiting() == 0,
             }),
         }
     }
@@ -231,7 +224,7 @@ impl Job {
         Some(match self.work(index)?.phase {
             Phase::Emission { round, map, .. } => Task::Emission { round, map },
             Phase::Bootstrap { .. } => Task::Bootstrap,
-            Phase::Splat { .. } => Task::Splat { bootstrap: self.bootstrap() },
+            Phase::Splat { round, .. } => Task::Splat { round, bootstrap: self.bootstrap },
             Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round) },
         })
     }
@@ -241,12 +234,6 @@ impl Job {
         let built = self.window.iter().filter(|s| s.round() <= round).filter_map(map);
         let latest: BTreeMap<MapKind, MapRef> = self.kept.iter().copied().chain(built).map(|m| (m.kind, m)).collect();
         latest.into_values().collect()
-    }
-    fn bootstrap(&self) -> Option<BlobRef> {
-        self.window.iter().find_map(|s| match s.stage {
-            Stage::Complete(Some(InputRef::Bootstrap(blob))) => Some(blob),
-            _ => None,
-        })
     }
     /// Counts indices of phase `index` as done.
     pub fn completed(&mut self, index: usize, range: EmissionRange, stored: u64) {
@@ -259,11 +246,11 @@ impl Job {
         total.units += range.len();
         total.stored += stored;
     }
-    /// Puts indices of phase `index` up to be leased again, unless a limit has ended the phase.
+    /// Puts indices of phase `index` up to be leased again.
     pub fn take_back(&mut self, index: usize, retry: Retry) {
         self.retried += 1;
         if let Some(work) = self.work_mut(index) {
-            work.take_back(retry);
+            work.retries.push(retry);
         }
     }
     /// Takes one step that is due after something was done, or time has passed. To be called until it returns
@@ -273,9 +260,6 @@ impl Job {
             return Next::Nothing;
         }
         self.is_late = self.is_time_over(now);
-        if self.is_late {
-            self.end_splats();
-        }
         self.begin();
         let (first, closes_rounds) = (self.round(), closes_rounds(&self.phases));
         for step in self.window.iter_mut().filter(|s| s.stage == Stage::Working && s.work.is_complete()) {
@@ -284,8 +268,8 @@ impl Job {
                     step.stage = Stage::Building;
                     return Next::Build(phase);
                 }
-                phase @ Phase::Gather { round, .. } if closes_rounds => {
-                    if round == first {
+                phase @ (Phase::Gather { .. } | Phase::Splat { .. }) if closes_rounds => {
+                    if phase.round() == first {
                         step.stage = Stage::Building;
                         return Next::Build(phase);
                     }
@@ -313,7 +297,7 @@ impl Job {
         }
         let maps = self.maps(round);
         while let Some(step) = self.window.pop_front_if(|s| s.round() == round) {
-            self.rounds_done += u32::from(matches!(step.work.phase, Phase::Gather { .. }));
+            self.rounds_done += u32::from(step.work.phase.makes_image());
             self.first += 1;
         }
         if self.first < self.phases.len() {
@@ -347,20 +331,9 @@ impl Job {
     fn is_time_over(&self, now: Duration) -> bool {
         self.limits.time.is_some_and(|limit| now.saturating_sub(self.submitted) >= limit)
     }
-    /// Ends the splat phases that have done something: an image needs one unit at least.
-    fn end_splats(&mut self) {
-        let splats = self.window.iter_mut().filter(|s| matches!(s.work.phase, Phase::Splat { .. }));
-        for step in splats.filter(|s| s.stage == Stage::Working && !s.work.done.is_empty()) {
-            if step.work.waiting() > 0 {
-                step.work.end();
-                self.ended_by = Some(Limit::Time);
-            }
-        }
-    }
     /// Notes that a round is closed, and whether the image is as good as was asked for. Returns whether that was awaited.
     pub fn closed(&mut self, round: u32, is_good_enough: bool) -> bool {
-        let is_it =
-            |s: &&mut Step| s.stage == Stage::Building && s.round() == round && Kind::of(s.work.phase) == Kind::Gather;
+        let is_it = |s: &&mut Step| s.stage == Stage::Building && s.round() == round && s.work.phase.makes_image();
         let Some(step) = self.window.iter_mut().find(is_it) else { return false };
         step.stage = Stage::Complete(None);
         self.is_good_enough = is_good_enough;
@@ -373,6 +346,11 @@ impl Job {
             InputRef::Bootstrap(_) => Kind::Bootstrap,
         };
         let is_it = |s: &&mut Step| s.stage == Stage::Building && s.round() == round && Kind::of(s.work.phase) == kind;
-        self.window.iter_mut().find(is_it).map(|s| s.stage = Stage::Complete(Some(input))).is_some()
+        let Some(step) = self.window.iter_mut().find(is_it) else { return false };
+        step.stage = Stage::Complete(Some(input));
+        if let InputRef::Bootstrap(blob) = input {
+            self.bootstrap = Some(blob);
+        }
+        true
     }
 }

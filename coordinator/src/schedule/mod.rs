@@ -130,7 +130,7 @@ impl Scheduler {
 
     fn submitted(&mut self, id: JobId, phases: Vec<Phase>, limits: Limits, out: &mut Vec<Command>) {
         let Some(job) = Job::new(id, phases, limits, self.now) else {
-            let error = "the job's phases are not rounds of emissions and a gather, or a splat".to_owned();
+            let error = "the job's phases are not rounds of emissions and a gather, or of a splat".to_owned();
             out.push(Command::Finish { job: id, outcome: Outcome::Failed(error) });
             return;
         };
@@ -255,10 +255,8 @@ impl Scheduler {
         let hopeless = self.hopeless(open.phase, range, &history);
         let Some(job) = self.jobs.get_mut(&id) else { return };
         job.take_back(open.phase, Retry { range, history, since: self.now });
-        match hopeless {
-            Some(error) => self.end(id, Outcome::Failed(error), out),
-            // The last lease of a phase that a limit has ended.
-            None => self.advance(id, out),
+        if let Some(error) = hopeless {
+            self.end(id, Outcome::Failed(error), out);
         }
     }
 

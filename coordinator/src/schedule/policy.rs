@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn units_of_a_splat_phase_are_heavy_and_bootstrap_paths_light() {
         let p = Policy::default();
-        let splat = Phase::Splat { units: 1 << 20 };
+        let splat = Phase::Splat { round: 0, units: 1 << 20 };
         assert_eq!(p.lease_units(splat, situation()), 4);
         assert_eq!(p.lease_units(splat, Situation { rate: Some(0.01), ..situation() }), 1);
         assert_eq!(p.lease_units(Phase::Bootstrap { paths: 1 << 20 }, situation()), p.probe_paths);

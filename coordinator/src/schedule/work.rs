@@ -75,35 +75,20 @@ pub struct Work {
     pub done: IntervalPool,
     /// Photons in accepted results.
     pub stored: u64,
-    /// Indices that will never be done, once a limit has ended the phase.
-    left_out: Option<u64>,
 }
 
 impl Work {
     /// Nothing is done yet.
     pub fn new(phase: Phase) -> Self {
         let fresh = IntervalPool::full(phase.units());
-        Work { phase, fresh, retries: Vec::new(), done: IntervalPool::default(), stored: 0, left_out: None }
+        Work { phase, fresh, retries: Vec::new(), done: IntervalPool::default(), stored: 0 }
     }
     /// Units not handed out now.
     pub fn waiting(&self) -> u64 {
         self.fresh.units() + self.retries.iter().map(|r| r.range.len()).sum::<u64>()
     }
-    /// Whether every index is done that will be.
+    /// Whether every index is done.
     pub fn is_complete(&self) -> bool {
-        self.done.units() + self.left_out.unwrap_or(0) == self.phase.units()
-    }
-    /// Puts indices up to be leased again, unless the phase has been ended.
-    pub(super) fn take_back(&mut self, retry: Retry) {
-        match &mut self.left_out {
-            Some(left_out) => *left_out += retry.range.len(),
-            None => self.retries.push(retry),
-        }
-    }
-    /// Ends the phase: no index is handed out any more; those that are out still count.
-    pub(super) fn end(&mut self) {
-        self.left_out = Some(self.left_out.unwrap_or(0) + self.waiting());
-        self.fresh = IntervalPool::default();
-        self.retries.clear();
+        self.done.units() == self.phase.units()
     }
 }

@@ -6,8 +6,8 @@ use crate::error::{WireError, truncated};
 use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, WorkerInfo};
 use crate::wire;
-use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
+use gatherlight_render::film::{Bias, Noise};
 use gatherlight_render::photon::MapKind;
 use std::time::Duration;
 
@@ -143,6 +143,8 @@ impl From<&JobStats> for wire::JobStats {
             }),
             standard_error: s.noise.map(|n| n.standard_error),
             relative_error: s.noise.map(|n| n.relative).filter(|r| r.is_finite()),
+            bias: s.bias.map(|b| b.absolute),
+            relative_bias: s.bias.map(|b| b.relative),
         }
     }
 }
@@ -171,6 +173,7 @@ impl TryFrom<wire::JobStats> for JobStats {
                 small: m.small,
                 small_accepted: m.small_accepted,
                 large_luminance: 0,
+                large_luminance_squared: 0,
             }),
             gather_radius: s.gather_radius,
             k: s.k,
@@ -189,6 +192,7 @@ impl TryFrom<wire::JobStats> for JobStats {
             noise: s
                 .standard_error
                 .map(|standard_error| Noise { standard_error, relative: s.relative_error.unwrap_or(f64::INFINITY) }),
+            bias: s.bias.map(|absolute| Bias { absolute, relative: s.relative_bias.unwrap_or(f64::INFINITY) }),
         })
     }
 }

@@ -94,8 +94,8 @@ impl From<Lease> for wire::Lease {
                 wire::lease::Task::Emission(wire::EmissionTask { map: wire::MapKind::from(map).into(), round })
             }
             Task::Bootstrap => wire::lease::Task::Bootstrap(wire::BootstrapTask {}),
-            Task::Splat { bootstrap } => {
-                wire::lease::Task::Splat(wire::SplatTask { bootstrap: bootstrap.map(Into::into) })
+            Task::Splat { round, bootstrap } => {
+                wire::lease::Task::Splat(wire::SplatTask { bootstrap: bootstrap.map(Into::into), round })
             }
             Task::Gather { round, maps } => {
                 wire::lease::Task::Gather(wire::GatherTask { maps: maps.into_iter().map(Into::into).collect(), round })
@@ -118,7 +118,9 @@ impl TryFrom<wire::Lease> for Lease {
         let task = match required("lease.task", l.task)? {
             wire::lease::Task::Emission(t) => Task::Emission { round: round(t.round)?, map: map_kind(t.map)? },
             wire::lease::Task::Bootstrap(_) => Task::Bootstrap,
-            wire::lease::Task::Splat(t) => Task::Splat { bootstrap: t.bootstrap.map(bootstrap).transpose()? },
+            wire::lease::Task::Splat(t) => {
+                Task::Splat { round: round(t.round)?, bootstrap: t.bootstrap.map(bootstrap).transpose()? }
+            }
             wire::lease::Task::Gather(t) => {
                 let limit = MapKind::ALL.len() as u64;
                 WireError::check_limit("maps of a lease", t.maps.len() as u64, limit, "number of map kinds")?;

@@ -29,7 +29,20 @@ enumeration!(Merge, merge, "merge", Shared, Independent);
 enumeration!(Estimator, estimator, "estimator", KdTree, Hash);
 enumeration!(Kernel, kernel, "kernel", Constant, Cone, Epanechnikov);
 enumeration!(
-    Layer, layer, "layers", Direct, Indirect, Caustic, Albedo, Normal, Depth, Position, Variance, Samples, Strategies
+    Layer,
+    layer,
+    "layers",
+    Direct,
+    Indirect,
+    Caustic,
+    Albedo,
+    Normal,
+    Depth,
+    Position,
+    Variance,
+    Samples,
+    StandardError,
+    Strategies
 );
 
 impl From<&RenderSettings> for wire::RenderSettings {

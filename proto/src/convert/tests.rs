@@ -6,8 +6,8 @@ use crate::message::{
 };
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats};
 use crate::wire;
-use gatherlight_render::film::Noise;
 use gatherlight_render::film::light_image::Mutations;
+use gatherlight_render::film::{Bias, Noise};
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::{CameraChoice, Estimator, Kernel, Merge, Method, RenderSettings};
 use prost::Message;
@@ -115,8 +115,8 @@ fn messages_between_coordinator_and_worker_survive() {
         ToWorker::Lease(lease(Task::Emission { round: 65_535, map: MapKind::Global })),
         ToWorker::Lease(lease(Task::Gather { round: 3, maps: vec![map] })),
         ToWorker::Lease(lease(Task::Bootstrap)),
-        ToWorker::Lease(lease(Task::Splat { bootstrap: None })),
-        ToWorker::Lease(lease(Task::Splat { bootstrap: Some(blob(4)) })),
+        ToWorker::Lease(lease(Task::Splat { round: 3, bootstrap: None })),
+        ToWorker::Lease(lease(Task::Splat { round: 0, bootstrap: Some(blob(4)) })),
         ToWorker::Revoke(LeaseId(7)),
         ToWorker::Forget(JobId(9)),
     ];
@@ -160,7 +160,7 @@ fn empty_and_senseless_messages_are_refused() {
     assert!(task(gather(65_535)).is_ok() && task(gather(65_536)).is_err());
     let splat = |digest, bytes| {
         let bootstrap = Some(wire::Blob { digest: vec![0; digest].into(), bytes });
-        task(wire::lease::Task::Splat(wire::SplatTask { bootstrap }))
+        task(wire::lease::Task::Splat(wire::SplatTask { bootstrap, round: 0 }))
     };
     assert!(splat(32, 8).is_ok() && splat(31, 8).is_err() && splat(32, u64::MAX).is_err());
 }
@@ -185,8 +185,16 @@ fn job_snapshots_survive() {
         rounds_done: 7,
         units_done: 8,
         ended_by: Some(Limit::Time),
-        mutations: Mutations { large: 9, large_accepted: 8, small: 7, small_accepted: 6, large_luminance: 0 },
+        mutations: Mutations {
+            large: 9,
+            large_accepted: 8,
+            small: 7,
+            small_accepted: 6,
+            large_luminance: 0,
+            large_luminance_squared: 0,
+        },
         noise: Some(Noise { standard_error: 0.25, relative: f64::INFINITY }),
+        bias: Some(Bias { absolute: 0.5, relative: 0.75 }),
         ..JobStats::default()
     };
     let states = [

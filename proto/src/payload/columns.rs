@@ -5,8 +5,9 @@
 //! differences at that width (frame of reference: Goldstein, Ramakrishnan and Shaft 1998). Neighbours in tree order share high
 //! bits, flat walls and single-coloured lamps whole values. Exact, and fast both ways without an entropy coder.
 //!
-//! Layout: blocks of [`BLOCK`] photons, so that both ends work in parallel; before them a table with length and checksum of
-//! each. A group is at least one byte a column and base long, which bounds what a length can make a reader allocate.
+//! Layout: blocks of [`BLOCK`] photons, so that both ends work in parallel; before them a table with the length of each. A group
+//! is at least one byte a column and base long, which bounds what a length can make a reader allocate. Damage on the way is found
+//! by the digest that travels beside every payload (see `chunk`), not again here.
 
 use crate::error::WireError;
 use gatherlight_render::photon::LightVertices;
@@ -17,10 +18,8 @@ use std::ops::Range;
 const GROUP: usize = 64;
 /// Photons in a block.
 const BLOCK: usize = 1 << 16;
-/// Bytes of a block's entry in the table: length u32, checksum.
-const ENTRY_BYTES: usize = 4 + CHECKSUM_BYTES;
-/// Bytes kept of a BLAKE3 digest to find damage.
-pub(super) const CHECKSUM_BYTES: usize = 8;
+/// Bytes of a block's entry in the table: its length, u32.
+pub(super) const ENTRY_BYTES: usize = 4;
 /// Bytes of each column's values; the last five only of light vertices.
 const COLUMN_BYTES: [usize; 14] = [4, 4, 4, 1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 1];
 
@@ -72,13 +71,7 @@ pub(super) fn packed_column(c: usize, i: usize, powers: &[u32], normals: &[u16],
     }
 }
 
-pub(super) fn checksum(bytes: &[u8]) -> [u8; CHECKSUM_BYTES] {
-    let mut out = [0; CHECKSUM_BYTES];
-    out.copy_from_slice(&blake3::hash(bytes).as_bytes()[..CHECKSUM_BYTES]);
-    out
-}
-
-/// Appends table and blocks to `out`, which already holds the header; the table ends with a checksum of all before it.
+/// Appends table and blocks to `out`, which already holds the header.
 pub(super) fn encode(photons: &impl Photons, out: &mut Vec<u8>) {
     let n = photons.len();
     let blocks: Vec<Vec<u8>> = (0..n.div_ceil(BLOCK))
@@ -92,12 +85,10 @@ pub(super) fn encode(photons: &impl Photons, out: &mut Vec<u8>) {
             bytes
         })
         .collect();
-    out.reserve_exact(blocks.iter().map(|b| b.len() + ENTRY_BYTES).sum::<usize>() + CHECKSUM_BYTES);
+    out.reserve_exact(blocks.iter().map(|b| b.len() + ENTRY_BYTES).sum());
     for block in &blocks {
         out.extend_from_slice(&(block.len() as u32).to_le_bytes());
-        out.extend_from_slice(&checksum(block));
     }
-    out.extend_from_slice(&checksum(out));
     for block in blocks {
         out.extend_from_slice(&block);
     }
@@ -142,20 +133,16 @@ pub(super) fn decode(
     }
     let n = count as usize;
     let table_end = header + n.div_ceil(BLOCK) * ENTRY_BYTES;
-    let (Some(table), Some(seal)) = (all.get(header..table_end), all.get(table_end..table_end + CHECKSUM_BYTES)) else {
+    let (Some(table), Some(mut rest)) = (all.get(header..table_end), all.get(table_end..)) else {
         return Err(damaged("ends within its table".into()));
     };
-    if checksum(&all[..table_end]) != seal {
-        return Err(damaged("its header is damaged".into()));
-    }
-    let mut rest = &all[table_end + CHECKSUM_BYTES..];
     let mut blocks = Vec::with_capacity(n.div_ceil(BLOCK));
     for entry in table.as_chunks::<ENTRY_BYTES>().0 {
-        let length = u32::from_le_bytes([entry[0], entry[1], entry[2], entry[3]]) as usize;
+        let length = u32::from_le_bytes(*entry) as usize;
         let Some((block, tail)) = rest.split_at_checked(length) else {
             return Err(damaged(format!("ends {} bytes early", length - rest.len())));
         };
-        blocks.push((block, &entry[4..]));
+        blocks.push(block);
         rest = tail;
     }
     if !rest.is_empty() {
@@ -179,7 +166,7 @@ struct VertexTarget<'a> {
     lengths: &'a mut [u8],
 }
 
-fn decode_blocks(n: usize, vertices: bool, blocks: &[(&[u8], &[u8])]) -> Result<Arrays, &'static str> {
+fn decode_blocks(n: usize, vertices: bool, blocks: &[&[u8]]) -> Result<Arrays, &'static str> {
     let mut arrays = Arrays {
         coordinates: [vec![0.0; n], vec![0.0; n], vec![0.0; n]],
         powers: vec![0; n],
@@ -198,7 +185,7 @@ fn decode_blocks(n: usize, vertices: bool, blocks: &[(&[u8], &[u8])]) -> Result<
         .as_mut()
         .map(|v| v.directions.chunks_mut(BLOCK).zip(v.shares.chunks_mut(BLOCK)).zip(v.lengths.chunks_mut(BLOCK)));
     let mut work = Vec::with_capacity(blocks.len());
-    for &(block, seal) in blocks {
+    for &block in blocks {
         let (Some(x), Some(y), Some(z), Some(powers), Some(normals)) =
             (x.next(), y.next(), z.next(), powers.next(), normals.next())
         else {
@@ -206,14 +193,9 @@ fn decode_blocks(n: usize, vertices: bool, blocks: &[(&[u8], &[u8])]) -> Result<
         };
         let vertices = vertices.as_mut().and_then(Iterator::next);
         let vertices = vertices.map(|((directions, shares), lengths)| VertexTarget { directions, shares, lengths });
-        work.push((block, seal, Target { coordinates: [x, y, z], powers, normals, vertices }));
+        work.push((block, Target { coordinates: [x, y, z], powers, normals, vertices }));
     }
-    work.into_par_iter().try_for_each(|(block, seal, mut target)| {
-        if checksum(block) != seal {
-            return Err("its photons are damaged");
-        }
-        decode_block(block, &mut target)
-    })?;
+    work.into_par_iter().try_for_each(|(block, mut target)| decode_block(block, &mut target))?;
     Ok(arrays)
 }
 

@@ -1,7 +1,7 @@
 //! Light images ↔ bytes: what a lease splatted, on its way to the exact sum.
 //!
 //! Layout, little-endian: `GLLI`, version u32, width u32, height u32, planes u32, quantum i32, non_finite u64, rays u64,
-//! mutations 4 × u64 (large, accepted, small, accepted) and u128 (luminance of the large ones), block count u32; a table with number u32 and length u32 of each block that something landed on, by number; then the
+//! mutations 4 × u64 (large, accepted, small, accepted) and 2 × u128 (luminance of the large ones and its square), block count u32; a table with number u32 and length u32 of each block that something landed on, by number; then the
 //! blocks. A block is a shift (u8), a bit for each of its pixels (row by row, the least bit of the first byte first), and
 //! for each pixel whose bit is set its three sums without their `shift` least bits, zigzag and in groups of 7 bits, the
 //! least first. Sums are 128 bits wide, but few are longer than a float's 24 bits and some carries, and many pixels are
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 const MAGIC: [u8; 4] = *b"GLLI";
 const VERSION: u32 = 2;
-const HEADER_BYTES: usize = 92;
+const HEADER_BYTES: usize = 108;
 const ENTRY_BYTES: usize = 8;
 const WHAT: &str = "light image";
 /// Pixels of a block.
@@ -50,6 +50,7 @@ pub fn append(image: &LightImage, out: &mut BytesMut) {
     let m = image.mutations();
     [m.large, m.large_accepted, m.small, m.small_accepted].into_iter().for_each(|v| out.put_u64_le(v));
     out.put_u128_le(m.large_luminance);
+    out.put_u128_le(m.large_luminance_squared);
     out.put_u32_le(blocks.len() as u32);
     for ((number, _), bytes) in blocks.iter().zip(&encoded) {
         out.put_u32_le(*number);
@@ -97,6 +98,7 @@ pub fn decode(bytes: &[u8], empty: &LightImage) -> Result<LightImage, WireError>
     let (non_finite, rays) = (long()?, long()?);
     let (large, large_accepted, small, small_accepted) = (long()?, long()?, long()?, long()?);
     let large_luminance = u128::from_le_bytes(reader.array()?);
+    let large_luminance_squared = u128::from_le_bytes(reader.array()?);
     let most = non_finite.max(rays).max(large).max(small);
     WireError::check_limit("splats, rays or mutations of a light image", most, MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
     if large_accepted > large || small_accepted > small {
@@ -120,7 +122,14 @@ pub fn decode(bytes: &[u8], empty: &LightImage) -> Result<LightImage, WireError>
     }
     image.add_non_finite(non_finite);
     image.add_rays(rays);
-    image.add_mutations(&Mutations { large, large_accepted, small, small_accepted, large_luminance });
+    image.add_mutations(&Mutations {
+        large,
+        large_accepted,
+        small,
+        small_accepted,
+        large_luminance,
+        large_luminance_squared,
+    });
     Ok(image)
 }
 
@@ -210,6 +219,7 @@ mod tests {
             small: 70,
             small_accepted: 6,
             large_luminance: 1 << 100,
+            large_luminance_squared: 1 << 90,
         });
         image
     }
@@ -275,7 +285,7 @@ mod tests {
         };
         assert!(say(24, &u64::MAX.to_le_bytes()).contains("MAX_RESULT_COUNT"));
         assert!(say(48, &7u64.to_le_bytes()).contains("more mutations accepted"));
-        assert!(say(88, &u32::MAX.to_le_bytes()).contains("the image has 18"));
+        assert!(say(HEADER_BYTES - 4, &u32::MAX.to_le_bytes()).contains("the image has 18"));
         assert!(say(HEADER_BYTES + 8, &4u32.to_le_bytes()).contains("out of order"));
         assert!(say(HEADER_BYTES + 16, &18u32.to_le_bytes()).contains("outside the image"));
         assert!(say(HEADER_BYTES + 4, &u32::MAX.to_le_bytes()).contains("early"));

@@ -13,7 +13,7 @@ use gatherlight_render::photon::map::{MapParts, PhotonMap};
 use gatherlight_render::photon::{LightVertices, MapKind};
 
 const MAGIC: [u8; 4] = *b"GLPM";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER_BYTES: usize = 28;
 const DIRECTIONS: u32 = 1;
 const CAUSTIC: u32 = 2;
@@ -58,7 +58,7 @@ pub fn encode_map(map: &PhotonMap) -> Bytes {
 /// Decodes the map of `kind` and rebuilds its tree, in parallel on the current rayon pool.
 ///
 /// # Errors
-/// When the bytes are damaged, are another kind of map, or hold more than `max_photons`. Allocates at most about 60 times the
+/// When the bytes are malformed, are another kind of map, or hold more than `max_photons`. Allocates at most about 60 times the
 /// bytes given.
 pub fn decode_map(bytes: &[u8], kind: MapKind, max_photons: u64) -> Result<PhotonMap, WireError> {
     let reader = Reader::new(WHAT, bytes);
@@ -115,16 +115,12 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_an_error_and_never_a_panic() {
-        let m = map(700, true);
-        let digest = m.digest();
-        fuzz::damage(&encode_map(&m), |bytes| {
-            decode_map(bytes, MapKind::Caustic, MAX).map(|d| assert_eq!(d.digest(), digest))
-        });
+    fn cut_and_made_up_bytes_are_errors_and_never_a_panic() {
+        fuzz::damage(&encode_map(&map(700, true)), |bytes| decode_map(bytes, MapKind::Caustic, MAX).map(drop));
     }
 
     #[test]
-    fn hostile_bytes_with_right_checksums_are_errors_or_harmless_maps() {
+    fn changed_bytes_are_errors_or_harmless_maps_and_never_a_panic() {
         fuzz::forge(&encode_map(&map(700, true)), HEADER_BYTES, |bytes| {
             decode_map(bytes, MapKind::Caustic, MAX).map(|m| drop(m.tree().clone()))
         });

@@ -11,7 +11,7 @@ use bytes::Bytes;
 use gatherlight_render::photon::{EmissionRange, LightVertices, PhotonBatch};
 
 const MAGIC: [u8; 4] = *b"GLPB";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER_BYTES: usize = 36;
 const DIRECTIONS: u32 = 1;
 const WHAT: &str = "photon batch";
@@ -49,7 +49,7 @@ pub fn encode_batch(batch: &PhotonBatch) -> Bytes {
 /// Decodes the batch of the paths `range`, of light vertices (which have directions) or photons as `directions` says.
 ///
 /// # Errors
-/// When the bytes are damaged, or are another batch than asked for, or hold more than [`MAX_BATCH_PHOTONS`]. Allocates at most
+/// When the bytes are malformed, or are another batch than asked for, or hold more than [`MAX_BATCH_PHOTONS`]. Allocates at most
 /// about 60 times the bytes given.
 pub fn decode_batch(bytes: &[u8], range: EmissionRange, directions: bool) -> Result<PhotonBatch, WireError> {
     let reader = Reader::new(WHAT, bytes);
@@ -93,13 +93,14 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_an_error_and_never_a_panic() {
+    fn cut_and_made_up_bytes_are_errors_and_never_a_panic() {
         let b = batch(700, true);
-        fuzz::damage(&encode_batch(&b), |bytes| decode_batch(bytes, RANGE, true).map(|d| assert_eq!(d, b)));
+        assert_eq!(decode_batch(&encode_batch(&b), RANGE, true), Ok(b.clone()));
+        fuzz::damage(&encode_batch(&b), |bytes| decode_batch(bytes, RANGE, true).map(drop));
     }
 
     #[test]
-    fn hostile_bytes_with_right_checksums_are_errors_and_never_a_panic() {
+    fn changed_bytes_are_errors_or_other_photons_and_never_a_panic() {
         let b = batch(700, true);
         fuzz::forge(&encode_batch(&b), HEADER_BYTES, |bytes| decode_batch(bytes, RANGE, true).map(drop));
     }

@@ -1,7 +1,7 @@
 //! What an image file says about how it was made: everything that determines its pixels, and nothing that does not
 //! (no times, hosts or threads), so that equal jobs give equal files.
 
-use crate::film::Noise;
+use crate::film::{Bias, Noise};
 use crate::photon::MapKind;
 use crate::settings::{CameraChoice, RenderSettings};
 
@@ -40,6 +40,8 @@ pub struct ImageMetadata {
     pub samples: Option<u32>,
     /// Its noise, where it is known.
     pub noise: Option<Noise>,
+    /// Its bias, where it is known.
+    pub bias: Option<Bias>,
     /// Rounds the image is the mean of, where the method has rounds.
     pub rounds: Option<u32>,
     /// Units of the splat phase it is the mean of, where the method has one: Markov chains, or whole rounds.
@@ -62,6 +64,10 @@ impl ImageMetadata {
         if let Some(noise) = self.noise {
             list.push(("standard_error".into(), noise.standard_error.to_string()));
             list.push(("relative_standard_error".into(), noise.relative.to_string()));
+        }
+        if let Some(bias) = self.bias {
+            list.push(("bias".into(), bias.absolute.to_string()));
+            list.push(("relative_bias".into(), bias.relative.to_string()));
         }
         list.extend(self.rounds.map(|n| ("rounds".into(), n.to_string())));
         list.extend(self.units.map(|n| ("units".into(), n.to_string())));

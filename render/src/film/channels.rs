@@ -16,9 +16,9 @@ impl ChannelSet {
         layers.dedup();
         ChannelSet { layers }
     }
-    /// Colour and those of `layers` that tiles hold: not those that are summed on the light image.
+    /// Colour and those of `layers` that tiles hold: not those that are made of whole images.
     pub fn of_tiles(layers: &[Layer]) -> Self {
-        let layers: Vec<Layer> = layers.iter().copied().filter(|l| !l.is_splatted()).collect();
+        let layers: Vec<Layer> = layers.iter().copied().filter(|l| !l.is_of_image()).collect();
         ChannelSet::new(&layers)
     }
     /// The layers beside the colour.

@@ -47,6 +47,8 @@ pub struct Mutations {
     pub small_accepted: u64,
     /// Σ over large steps of the proposal's luminance over the bootstrap's mean, in 2⁻⁶⁴.
     pub large_luminance: u128,
+    /// Σ over large steps of its square, in 2⁻³².
+    pub large_luminance_squared: u128,
 }
 
 impl Mutations {
@@ -57,10 +59,15 @@ impl Mutations {
         self.small = self.small.saturating_add(other.small);
         self.small_accepted = self.small_accepted.saturating_add(other.small_accepted);
         self.large_luminance = self.large_luminance.saturating_add(other.large_luminance);
+        self.large_luminance_squared = self.large_luminance_squared.saturating_add(other.large_luminance_squared);
     }
-    /// Mean over the large steps of the proposal's luminance over the bootstrap's mean, if there was any.
-    pub fn large_mean(&self) -> Option<f64> {
-        (self.large > 0).then(|| self.large_luminance as f64 / power_of_two(64) / self.large as f64)
+    /// Sum over the large steps of the proposal's luminance over the bootstrap's mean.
+    pub fn large_sum(&self) -> f64 {
+        self.large_luminance as f64 / power_of_two(64)
+    }
+    /// Sum over the large steps of its square.
+    pub fn large_squares(&self) -> f64 {
+        self.large_luminance_squared as f64 / power_of_two(32)
     }
     /// Shares of the large and the small steps that were accepted; 0 where there were none.
     pub fn acceptance(&self) -> [f64; 2] {
@@ -129,7 +136,9 @@ impl LightImage {
         let one = if large {
             // Not finite ones become 0 or the most there is, and are counted as such elsewhere.
             let large_luminance = (luminance * power_of_two(64)) as u128;
-            Mutations { large: 1, large_accepted: u64::from(accepted), large_luminance, ..Mutations::default() }
+            let large_luminance_squared = (luminance * luminance * power_of_two(32)) as u128;
+            let large_accepted = u64::from(accepted);
+            Mutations { large: 1, large_accepted, large_luminance, large_luminance_squared, ..Mutations::default() }
         } else {
             Mutations { small: 1, small_accepted: u64::from(accepted), ..Mutations::default() }
         };

@@ -9,8 +9,8 @@
 use super::Bootstrap;
 use super::connect::{Connection, Connector, Contribution};
 use super::vertex::{Start, Vertex, Walk};
-use crate::film::LightImage;
 use crate::film::light_image::Mutations;
+use crate::film::{Brightness, LightImage};
 use crate::material::TransportMode;
 use crate::math::primary::{Lane, PrimarySpace, Step};
 use crate::math::{Numbers, Purpose, Rgb, Stream};
@@ -90,16 +90,29 @@ impl<'a> Mlt<'a> {
         u64::from(settings.mutations) * u64::from(settings.width) * u64::from(settings.height)
     }
 
-    /// The factor that turns the sums of `chains` chains into the image: pixels · b / mutations, where b is the mean
-    /// luminance of independent paths (Veach 1997, eq. 11.7). The large steps that the chains proposed are such paths as the
-    /// bootstrap's are: with them the brightness gets better as long as the chains run.
-    pub fn scale(settings: &RenderSettings, bootstrap: &Bootstrap, chains: u64, mutations: &Mutations) -> f64 {
+    /// The factor that turns the sums of `chains` chains into an image of the bootstrap's brightness: pixels · b / mutations, where
+    /// b is the mean luminance of independent paths (Veach 1997, eq. 11.7).
+    pub fn scale(settings: &RenderSettings, bootstrap: &Bootstrap, chains: u32) -> f64 {
         let pixels = f64::from(settings.width) * f64::from(settings.height);
+        let share = f64::from(chains) / f64::from(settings.chains);
+        pixels * bootstrap.mean() / (Self::mutations(settings) as f64 * share).max(1.0)
+    }
+
+    /// The brightness of the image over that of the bootstrap. The large steps that the chains proposed are such paths as the
+    /// bootstrap's are: with them the brightness gets better as long as the chains run.
+    pub fn brightness(bootstrap: &Bootstrap, mutations: &Mutations) -> Brightness {
         let (first, steps) = (bootstrap.weights().len() as f64, mutations.large as f64);
-        let all = (first + steps * mutations.large_mean().unwrap_or(0.0)) / (first + steps).max(1.0);
-        let mean = bootstrap.mean() * all;
-        let share = chains as f64 / f64::from(settings.chains);
-        pixels * mean / (Self::mutations(settings) as f64 * share).max(1.0)
+        let mean = bootstrap.mean();
+        if mean <= 0.0 {
+            return Brightness::default();
+        }
+        let square = |&w: &f32| f64::from(w) / mean * (f64::from(w) / mean);
+        let squares: f64 = bootstrap.weights().iter().map(square).sum();
+        let count = (first + steps).max(1.0);
+        let factor = (first + mutations.large_sum()) / count;
+        let variance = ((squares + mutations.large_squares()) / count - factor * factor).max(0.0) / count;
+        let relative_variance = if factor > 0.0 { variance / (factor * factor) } else { 0.0 };
+        Brightness { factor, relative_variance }
     }
 
     /// The numbers of bootstrap path `index`. The first number is stratified over all of them, so that neighbours have like

@@ -134,7 +134,7 @@ impl PixelSums {
                 Layer::Variance => out.extend(self.squares.map(|s| (s / (n - 1.0).max(1.0)) as f32)),
                 Layer::Samples => out.push(self.count as f32),
                 // Not of tiles.
-                Layer::Strategies => {}
+                Layer::StandardError | Layer::Strategies => {}
             }
         }
     }

@@ -99,9 +99,9 @@ fn film(settings: &RenderSettings) -> u64 {
     let channels = ChannelSet::new(&settings.layers).len() as u64;
     let pixels = u64::from(settings.width) * u64::from(settings.height);
     let encoding = (FILM_COPIES * (pixels * channels * 4) as f64) as u64;
-    // The round in the making, and in f64 the sums of its channels and of the squares of its colour.
-    let summing = pixels * (4 * channels + 8 * channels + 8 * 3);
-    if settings.gather_rounds() > 1 { encoding.max(summing) } else { encoding }
+    // The round in the making, and in f64 the sums of its channels, of its block's colour and of the squares of that.
+    let summing = pixels * (4 * channels + 8 * channels + 8 * 3 * 2);
+    if settings.image_rounds() > 1 { encoding.max(summing) } else { encoding }
 }
 
 #[cfg(test)]

@@ -162,7 +162,9 @@ impl Method {
     pub const fn layers(self) -> &'static [Layer] {
         use Layer as L;
         match self {
-            Method::Whitted => &[L::Direct, L::Albedo, L::Normal, L::Depth, L::Position, L::Variance, L::Samples],
+            Method::Whitted => {
+                &[L::Direct, L::Albedo, L::Normal, L::Depth, L::Position, L::Variance, L::Samples, L::StandardError]
+            }
             Method::Path | Method::Photon | Method::Progressive => &[
                 L::Direct,
                 L::Indirect,
@@ -173,10 +175,11 @@ impl Method {
                 L::Position,
                 L::Variance,
                 L::Samples,
+                L::StandardError,
             ],
-            Method::Mlt => &[],
-            Method::Bdpt => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples, L::Strategies],
-            Method::Vcm => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples],
+            Method::Mlt => &[L::StandardError],
+            Method::Bdpt => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples, L::StandardError, L::Strategies],
+            Method::Vcm => &[L::Albedo, L::Normal, L::Depth, L::Position, L::Samples, L::StandardError],
         }
     }
 
@@ -221,10 +224,7 @@ impl Method {
     pub fn refuse_layers(self, layers: &[Layer]) -> Result<(), SettingsError> {
         let Some(layer) = layers.iter().find(|l| !self.layers().contains(l)) else { return Ok(()) };
         let own: Vec<String> = self.layers().iter().map(|l| l.name().into()).collect();
-        let message = match own.as_slice() {
-            [] => format!("method {} has no layers", self.name()),
-            own => format!("method {} has no {}; it has {}", self.name(), layer.name(), enumerate(own)),
-        };
+        let message = format!("method {} has no {}; it has {}", self.name(), layer.name(), enumerate(&own));
         Err(SettingsError { setting: "layers", message })
     }
 }
@@ -351,7 +351,7 @@ mod tests {
         let error = Method::Bdpt.refuse_layers(&[Layer::Caustic, Layer::Depth]).unwrap_err().to_string();
         assert_eq!(
             error,
-            "--layers: method bdpt has no caustic; it has albedo, normal, depth, position, samples and strategies"
+            "--layers: method bdpt has no caustic; it has albedo, normal, depth, position, samples, standard-error and strategies"
         );
         assert!(Method::Path.refuse_layers(&Layer::ALL).is_err());
         assert!(Method::Path.refuse_layers(Method::Photon.layers()).is_ok());

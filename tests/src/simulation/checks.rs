@@ -42,8 +42,8 @@ impl World<'_> {
         let round = phase.round();
         let input = match phase {
             Phase::Emission { map, .. } => Some(InputRef::Map(MapRef { kind: map, digest, bytes: 1 })),
-            Phase::Bootstrap { .. } | Phase::Splat { .. } => Some(InputRef::Bootstrap(BlobRef { digest, bytes: 1 })),
-            Phase::Gather { .. } => None,
+            Phase::Bootstrap { .. } => Some(InputRef::Bootstrap(BlobRef { digest, bytes: 1 })),
+            Phase::Gather { .. } | Phase::Splat { .. } => None,
         };
         let number = self.next_entry;
         let event = match input {
@@ -76,29 +76,20 @@ impl World<'_> {
     /// The image is made of whole rounds, and of as many units as were counted; of all, unless a limit ended the job.
     fn assert_image(&mut self, job: JobId) {
         let Some(&done) = self.made_of.get(&job) else { panic!("seed {}: job {job} was not put together", self.seed) };
-        let (mut rounds, mut units) = (0, None);
-        for (i, phase) in self.phases[job.0 as usize].iter().enumerate() {
-            match *phase {
-                Phase::Gather { round, .. } => rounds = rounds.max(round + 1),
-                Phase::Splat { units: all } => {
-                    units = Some((all, self.counted.get(&(job, i)).map_or(0, Counted::total)))
-                }
-                _ => {}
-            }
-        }
+        let images = || self.phases[job.0 as usize].iter().filter(|p| p.makes_image());
+        let rounds = images().count() as u32;
         if done.ended_by.is_none() {
             assert_eq!(done.rounds, rounds, "seed {}: job {job}", self.seed);
-            assert!(units.is_none_or(|(all, counted)| all == counted), "seed {}: job {job}, {units:?}", self.seed);
         }
         if let (Some(most), true) = (self.conditions.good_after, rounds > 1) {
             assert!(done.rounds <= most, "seed {}: job {job} has {} rounds", self.seed, done.rounds);
         }
-        assert!(done.rounds <= rounds && (done.rounds > 0 || units.is_some()), "seed {}: job {job}", self.seed);
-        assert_eq!(done.units, units.map_or(0, |(_, counted)| counted), "seed {}: job {job}", self.seed);
-        assert!(units.is_none() || done.units > 0, "seed {}: job {job} has no unit", self.seed);
-        let gathers = self.phases[job.0 as usize].iter().enumerate();
-        gathers
-            .filter(|(_, p)| matches!(p, Phase::Gather { round, .. } if *round < done.rounds))
+        assert!(done.rounds <= rounds && done.rounds > 0, "seed {}: job {job}", self.seed);
+        let made_of = images().filter(|p| p.round() < done.rounds && matches!(p, Phase::Splat { .. }));
+        assert_eq!(done.units, made_of.map(Phase::units).sum::<u64>(), "seed {}: job {job}", self.seed);
+        let made_of = self.phases[job.0 as usize].iter().enumerate();
+        made_of
+            .filter(|(_, p)| p.makes_image() && p.round() < done.rounds)
             .for_each(|(i, _)| self.assert_complete(job, i));
         self.report.cut_off += usize::from(done.ended_by.is_some());
         self.report.rounds += u64::from(done.rounds);

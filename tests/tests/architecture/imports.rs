@@ -14,7 +14,7 @@ const PACKAGES: [(&str, &str, &[&str]); 5] = [
 
 /// Module of `render` and the modules it may name. `scene::description` is plain data that every importer fills and
 /// every consumer reads; the rest of `scene` stands above materials and lights.
-const RENDER_MODULES: [(&str, &[&str]); 15] = [
+const RENDER_MODULES: [(&str, &[&str]); 16] = [
     ("error", &[]),
     ("settings", &["error"]),
     ("math", &[]),
@@ -30,6 +30,7 @@ const RENDER_MODULES: [(&str, &[&str]); 15] = [
     ("plan", &["error", "settings", "math", "film", "geometry", "material", "light", "scene", "photon", "integrator"]),
     ("auto", &["error", "settings", "material", "scene"]),
     ("job", &["*"]),
+    ("local", &["*"]),
 ];
 
 /// What `render` may depend on: no async, no network, no clock, no logging.

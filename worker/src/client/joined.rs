@@ -260,14 +260,14 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
             drop(held);
             executor.run(move || emission::compute_bootstrap(&prepared, range)).await
         }
-        &Task::Splat { bootstrap } => {
+        &Task::Splat { round, bootstrap } => {
             let bootstrap = match bootstrap {
                 Some(wanted) => Some(held.bootstrap(lease.job, wanted, &prepared, remote, executor).await?),
                 None => None,
             };
             drop(held);
             let inputs = Inputs { maps: PhotonMaps::default(), bootstrap };
-            executor.run(move || gather::compute_splat(&prepared, &inputs, range)).await?
+            executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await?
         }
         Task::Gather { round, maps: wanted } => {
             let maps = held.maps(lease.job, wanted, remote, executor).await?;

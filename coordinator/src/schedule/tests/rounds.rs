@@ -28,8 +28,8 @@ fn emission(round: u32) -> Task {
 fn tiles(round: u32) -> Task {
     Task::Gather { round, maps: vec![map(round)] }
 }
-fn splat() -> Task {
-    Task::Splat { bootstrap: Some(BOOTSTRAP) }
+fn splat(round: u32) -> Task {
+    Task::Splat { round, bootstrap: Some(BOOTSTRAP) }
 }
 /// A round is closed: that it is to be, and that it has been.
 fn close(round: u32, tiles: u32) -> Command {
@@ -180,70 +180,41 @@ fn a_job_that_is_done_in_time_is_not_said_to_be_ended_by_its_limit() {
 }
 
 #[test]
-fn chains_wait_for_their_bootstrap_and_read_it() {
-    let phases = vec![Phase::Bootstrap { paths: 10 }, Phase::Splat { units: 3 }, Phase::Gather { round: 0, tiles: 1 }];
-    let mut b = submit(policy(), phases, Limits::default());
+fn chains_of_every_round_wait_for_the_bootstrap_and_read_it() {
+    let bootstrap = Phase::Bootstrap { paths: 10 };
+    let chains = |round| Phase::Splat { round, units: 2 };
+    let mut b = submit(policy(), vec![bootstrap, chains(0), chains(1)], Limits::default());
     b.join(A);
-    // Tiles read no bootstrap, so they need not wait.
     b.join(B);
     let open: Vec<Task> = b.scheduler.leases().map(|l| l.lease.task.clone()).collect();
-    assert_eq!(open, [Task::Bootstrap, Task::Gather { round: 0, maps: vec![] }]);
-    let build = Command::Build { job: JOB, phase: Phase::Bootstrap { paths: 10 } };
-    assert_eq!(b.complete(A, 1), [accept(1), build]);
+    assert_eq!(open, [Task::Bootstrap]);
+    assert_eq!(b.complete(A, 1), [accept(1), Command::Build { job: JOB, phase: bootstrap }]);
     let made = Event::Built { job: JOB, round: 0, input: InputRef::Bootstrap(BOOTSTRAP) };
-    assert_eq!(b.event(made.clone()), [give(A, 3, range(0, 1), splat())]);
+    let prepare = Command::Prepare { worker: B, job: JOB };
+    assert_eq!(b.event(made.clone()), [give(A, 2, range(0, 1), splat(0)), prepare, give(B, 3, range(1, 2), splat(0))]);
     assert_eq!(b.event(made), []);
-    assert_eq!(b.complete(B, 2), [accept(2), give(B, 4, range(1, 2), splat())]);
-    assert_eq!(b.complete(B, 4), [accept(4), give(B, 5, range(2, 3), splat())]);
-    assert_eq!(b.complete(B, 5), [accept(5)]);
-    assert_eq!(b.complete(A, 3), [accept(3), assemble(1, 3, None)]);
+    // Nothing of the first round is left to hand out.
+    assert_eq!(b.complete(A, 2), [accept(2), give(A, 4, range(0, 1), splat(1))]);
+    let close = |round| Command::Build { job: JOB, phase: chains(round) };
+    assert_eq!(b.complete(B, 3), [accept(3), close(0), give(B, 5, range(1, 2), splat(1))]);
+    assert_eq!(b.complete(A, 4), [accept(4)]);
+    assert_eq!(b.event(closed(0)), []);
+    assert_eq!(b.complete(B, 5), [accept(5), close(1)]);
+    assert_eq!(b.event(closed(1)), [assemble(2, 4, None)]);
 }
 
-fn splatting(units: u64) -> Bench {
-    let mut b = submit(policy(), vec![Phase::Bootstrap { paths: 1 }, Phase::Splat { units }], LIMIT);
+#[test]
+fn at_a_time_limit_the_chains_of_whole_rounds_count() {
+    let chains = |round| Phase::Splat { round, units: 1 };
+    let mut b = submit(policy(), vec![Phase::Bootstrap { paths: 1 }, chains(0), chains(1)], LIMIT);
     b.join(A);
     b.complete(A, 1);
     b.event(Event::Built { job: JOB, round: 0, input: InputRef::Bootstrap(BOOTSTRAP) });
-    b.join(B);
-    b
-}
-
-fn at_the_limit(b: &mut Bench) -> Vec<Command> {
     b.now = seconds(61);
-    let heard = [A, B].map(|worker| b.event(Event::Heard { worker }));
-    [heard.concat(), b.event(Event::Tick)].concat()
-}
-
-#[test]
-fn at_a_time_limit_the_units_that_are_out_are_finished_and_count() {
-    let mut b = splatting(100);
-    assert_eq!(b.complete(A, 2)[1..], [give(A, 4, range(4, 6), splat())]);
-    assert_eq!(at_the_limit(&mut b), []);
-    assert_eq!(b.complete(A, 4), [accept(4)]);
-    assert_eq!(b.complete(B, 3), [accept(3), assemble(0, 6, Some(Limit::Time))]);
-}
-
-#[test]
-fn units_lost_after_a_time_limit_are_left_out() {
-    let mut b = splatting(100);
-    b.complete(A, 2);
-    assert_eq!(at_the_limit(&mut b), []);
-    assert_eq!(b.event(Event::Lost { worker: B }), []);
-    assert_eq!(b.fail(A, 4, "x"), [assemble(0, 2, Some(Limit::Time))]);
-}
-
-#[test]
-fn an_image_needs_one_unit_whatever_the_limit() {
-    let mut b = splatting(100);
-    assert_eq!(at_the_limit(&mut b), []);
-    // Nothing is done yet: what comes back is handed out again.
-    assert_eq!(b.event(Event::Lost { worker: B }), []);
-    assert_eq!(b.complete(A, 2), [accept(2), assemble(0, 2, Some(Limit::Time))]);
-    let mut b = splatting(3);
-    b.complete(A, 2);
-    at_the_limit(&mut b);
-    // All units are out or done, so the limit changes nothing.
-    assert_eq!(b.complete(B, 3), [accept(3), assemble(0, 3, None)]);
+    b.event(Event::Heard { worker: A });
+    assert_eq!(b.event(Event::Tick), []);
+    assert_eq!(b.complete(A, 2), [accept(2), Command::Build { job: JOB, phase: chains(0) }]);
+    assert_eq!(b.event(closed(0)), [assemble(1, 1, Some(Limit::Time))]);
 }
 
 #[test]
@@ -304,12 +275,12 @@ fn what_a_round_costs_does_not_depend_on_how_many_there_are() {
 fn rounds_out_of_order_or_without_an_end_make_no_job() {
     let gather = |round| Phase::Gather { round, tiles: 1 };
     let emit = |round| Phase::Emission { round, map: MapKind::Global, paths: 1 };
-    let (bootstrap, splat) = (Phase::Bootstrap { paths: 1 }, Phase::Splat { units: 1 });
+    let splat = |round| Phase::Splat { round, units: 1 };
+    let bootstrap = Phase::Bootstrap { paths: 1 };
     let good = [
-        vec![splat],
-        vec![bootstrap, splat],
-        vec![bootstrap, splat, gather(0)],
-        vec![emit(0), gather(0), bootstrap, splat],
+        vec![splat(0)],
+        vec![splat(0), splat(1)],
+        vec![bootstrap, splat(0), splat(1), splat(2)],
         vec![gather(0), gather(1), emit(2), gather(2)],
     ];
     for phases in good {
@@ -321,15 +292,17 @@ fn rounds_out_of_order_or_without_an_end_make_no_job() {
         vec![gather(1), gather(0)],
         vec![gather(0), emit(1)],
         vec![gather(0), emit(0)],
-        vec![emit(0), splat],
+        vec![emit(0), splat(0)],
         vec![bootstrap, gather(0)],
-        vec![splat, bootstrap],
-        vec![splat, splat],
-        vec![gather(0), emit(1), gather(1), splat],
+        vec![splat(0), bootstrap],
+        vec![splat(0), splat(0)],
+        vec![splat(0), gather(0)],
+        vec![bootstrap, emit(0), splat(0)],
+        vec![gather(0), emit(1), gather(1), splat(1)],
     ];
     for phases in bad {
         assert!(Job::new(JOB, phases.clone(), LIMIT, seconds(0)).is_none(), "{phases:?}");
     }
-    assert!(job::can_end_early(&rounds(2, 1, 1)) && job::can_end_early(&[splat]));
-    assert!(!job::can_end_early(&rounds(1, 1, 1)));
+    assert!(job::closes_rounds(&rounds(2, 1, 1)) && job::closes_rounds(&[bootstrap, splat(0), splat(1)]));
+    assert!(!job::closes_rounds(&rounds(1, 1, 1)) && !job::closes_rounds(&[bootstrap, splat(0)]));
 }

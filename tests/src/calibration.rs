@@ -1,0 +1,104 @@
+//! Whether the error that a render states is its real one: many seeds of one job, against the truth.
+
+use crate::single;
+use crate::welch::student_two_sided;
+use gatherlight_render::film::{Film, Noise};
+use gatherlight_render::import::SceneBundle;
+use gatherlight_render::job::PreparedJob;
+use gatherlight_render::settings::{Layer, RenderSettings};
+
+/// What many seeds showed.
+#[derive(Clone, Copy, Debug)]
+pub struct Calibration {
+    /// Share of the pixels and channels whose 95 % interval (Student's, by the blocks there were) holds the mean of the other seeds.
+    pub coverage: f64,
+    /// Root mean square over seeds of the stated relative standard error, over the real one, by the spread of the seeds.
+    pub noise: f64,
+    /// The same of the stated total error (noise and bias), over the real one, by a reference; `None` without one.
+    pub total: Option<f64>,
+    /// Stated relative standard error.
+    pub stated_noise: f64,
+    /// Stated relative bias; 0 where none is stated.
+    pub stated_bias: f64,
+    /// Real relative error against the reference.
+    pub real_total: Option<f64>,
+}
+
+/// One seed's image with what it says of itself.
+struct Image {
+    values: Vec<f64>,
+    errors: Vec<f64>,
+    noise: f64,
+    bias: f64,
+    degrees: f64,
+}
+
+fn channels(film: &Film, first: usize) -> Vec<f64> {
+    film.pixels.chunks_exact(film.channels.len()).flat_map(|p| &p[first..first + 3]).map(|&v| f64::from(v)).collect()
+}
+
+fn render(bundle: &SceneBundle, settings: &RenderSettings) -> Image {
+    let settings = RenderSettings { layers: vec![Layer::StandardError], ..settings.clone() };
+    let job = PreparedJob::prepare(bundle, &settings).unwrap_or_else(|e| panic!("{e}"));
+    let sums = single::accumulate(&job);
+    let noise = sums.noise().map_or(f64::INFINITY, |n: Noise| n.relative);
+    let bias = sums.bias().map_or(0.0, |b| b.relative);
+    let degrees = f64::from(sums.compared_blocks()) - 1.0;
+    let film = sums.finish();
+    let errors = film.channels.offset(Layer::StandardError).expect("asked for");
+    Image { values: channels(&film, 0), errors: channels(&film, errors), noise, bias, degrees }
+}
+
+/// The t with P(|T| < t) = 0.95.
+fn quantile(degrees: f64) -> f64 {
+    let (mut low, mut high) = (1.0, 100.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if student_two_sided(middle, degrees) > 0.05 { low = middle } else { high = middle }
+    }
+    low
+}
+
+/// Root of the mean square of `a − b` relative to `b`, or to the mean of `b` where that is greater.
+fn relative_error(a: &[f64], b: &[f64]) -> f64 {
+    let floor = b.iter().sum::<f64>() / b.len() as f64;
+    let square = |(a, b): (&f64, &f64)| ((a - b) / b.abs().max(floor)).powi(2);
+    (a.iter().zip(b).map(square).sum::<f64>() / a.len() as f64).sqrt()
+}
+
+fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = values.len() as f64;
+    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
+}
+
+/// Renders `seeds` ≥ 3 times; `reference` has the image's pixels and channels.
+pub fn calibrate(
+    bundle: &SceneBundle,
+    settings: &RenderSettings,
+    seeds: u64,
+    reference: Option<&[f64]>,
+) -> Calibration {
+    let images: Vec<Image> =
+        (0..seeds).map(|seed| render(bundle, &RenderSettings { seed: 1 + seed, ..settings.clone() })).collect();
+    let (n, count) = (seeds as f64, images[0].values.len());
+    let sum: Vec<f64> = (0..count).map(|i| images.iter().map(|m| m.values[i]).sum()).collect();
+    // The mean of the others has an error of its own.
+    let factor = quantile(images[0].degrees) * (1.0 + 1.0 / (n - 1.0)).sqrt();
+    let covered = |m: &Image| {
+        let holds = |i: &usize| (m.values[*i] - (sum[*i] - m.values[*i]) / (n - 1.0)).abs() <= factor * m.errors[*i];
+        (0..count).filter(holds).count()
+    };
+    let mean: Vec<f64> = sum.iter().map(|s| s / n).collect();
+    let spread = |m: &Image| relative_error(&m.values, &mean) * (n / (n - 1.0)).sqrt();
+    let stated_noise = root_mean_square(images.iter().map(|m| m.noise));
+    let stated_total = root_mean_square(images.iter().map(|m| m.noise.hypot(m.bias)));
+    let real_total = reference.map(|r| root_mean_square(images.iter().map(|m| relative_error(&m.values, r))));
+    Calibration {
+        coverage: images.iter().map(covered).sum::<usize>() as f64 / (n * count as f64),
+        noise: stated_noise / root_mean_square(images.iter().map(spread)),
+        total: real_total.map(|r| stated_total / r),
+        stated_noise,
+        stated_bias: root_mean_square(images.iter().map(|m| m.bias)),
+        real_total,
+    }
+}

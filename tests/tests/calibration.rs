@@ -1,0 +1,75 @@
+//! The error that a render states is its real one: many seeds, small images. The large table, heavy tails included, is in
+//! `docs/error.md` (`tests/benches/calibration.rs`).
+
+use gatherlight_render::settings::{Method, RenderSettings};
+use gatherlight_tests::calibration::{Calibration, calibrate};
+use gatherlight_tests::references::{block_means, reference};
+use gatherlight_tests::scene;
+
+const SIDE: u32 = 32;
+const SEEDS: u64 = 24;
+
+fn calibrated(name: &str, settings: &RenderSettings) -> Calibration {
+    let truth: Vec<f64> =
+        block_means(&reference(name), 256 / SIDE).iter().flat_map(|p| p.to_array().map(f64::from)).collect();
+    let settings = RenderSettings { width: SIDE, height: SIDE, ..settings.clone() };
+    let c = calibrate(&scene(&format!("{name}.glb")), &settings, SEEDS, Some(&truth));
+    println!("{name}, {}: {c:?}", settings.method.name());
+    c
+}
+
+/// Intervals of 95 % hold the mean of the other seeds in 93 to 97 % of all pixels, channels and seeds.
+#[test]
+fn intervals_of_unbiased_methods_hold_what_they_say() {
+    let bdpt = RenderSettings { method: Method::Bdpt, samples: 16, ..RenderSettings::default() };
+    let c = calibrated("cornell-diffuse", &bdpt);
+    assert!((0.93..=0.97).contains(&c.coverage), "{c:?}");
+    assert!((0.8..=1.5).contains(&c.noise), "{c:?}");
+    assert!(c.total.is_some_and(|t| (0.8..=1.5).contains(&t)), "{c:?}");
+}
+
+/// The brightness of all pixels of mlt is in its noise, too, which is told by groups of chains.
+#[test]
+fn chains_state_their_noise() {
+    let mlt = RenderSettings {
+        method: Method::Mlt,
+        mutations: 32,
+        chains: 256,
+        bootstrap: 5_000,
+        ..RenderSettings::default()
+    };
+    let c = calibrated("cornell-diffuse", &mlt);
+    assert!((0.7..=1.5).contains(&c.noise), "{c:?}");
+}
+
+/// What density estimation states, noise and blur together, is its real error against the image of another renderer.
+#[test]
+fn blurred_rounds_state_their_total_error() {
+    let progressive = RenderSettings {
+        method: Method::Progressive,
+        rounds: 32,
+        photons: 80_000,
+        caustic_photons: 160_000,
+        ..RenderSettings::default()
+    };
+    for name in ["cornell-diffuse", "caustic-ring"] {
+        let c = calibrated(name, &progressive);
+        assert!(c.total.is_some_and(|t| (0.7..=1.5).contains(&t)), "{name}: {c:?}");
+    }
+}
+
+/// Rounds of a radius that is far too large are all blur and hardly any noise: the bias is what is stated.
+#[test]
+fn a_large_radius_is_seen_as_bias() {
+    let blurred = RenderSettings {
+        method: Method::Progressive,
+        rounds: 64,
+        photons: 640_000,
+        caustic_photons: 640_000,
+        max_radius: Some(0.3),
+        ..RenderSettings::default()
+    };
+    let c = calibrated("caustic-ring", &blurred);
+    assert!(c.stated_bias > c.stated_noise, "{c:?}");
+    assert!(c.total.is_some_and(|t| (0.5..=1.5).contains(&t)), "{c:?}");
+}
