@@ -178,12 +178,11 @@ fn by_spread(radiance: f64, slack: f64, effort: &Effort, outcome: &mut Outcome) 
     let (got, sigma) = (outcome.got.unwrap_or(f64::NAN), outcome.standard_error.unwrap_or(f64::NAN));
     let interval = student(effort.seeds) * sigma;
     let error = (got - radiance).abs();
-    // Written so that NaN fails.
-    if !(error <= interval + slack * radiance) {
+    if error > interval + slack * radiance || !error.is_finite() || !interval.is_finite() {
         let percent = 100.0 * (got / radiance - 1.0);
         return Err(format!("{got:.6e} ± {sigma:.1e} instead of {radiance:.6e} ({percent:+.3} %)"));
     }
-    if !(interval <= effort.resolution * radiance) {
+    if interval > effort.resolution * radiance {
         let share = 100.0 * interval / radiance;
         return Err(format!("too noisy to tell: the interval is ±{share:.0} %"));
     }
