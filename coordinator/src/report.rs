@@ -4,7 +4,7 @@
 pub mod html;
 pub mod timeline;
 
-use crate::types::{JobStats, MapStats};
+use crate::types::{JobStats, MapStats, NonFinite};
 use gatherlight_render::export::{ImageMetadata, MapMetadata};
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::MapKind;
@@ -56,7 +56,7 @@ impl About {
             settings: settings.clone(),
             maps: stats.maps.iter().map(map).collect(),
             plan: self.plan.clone(),
-            non_finite: stats.non_finite,
+            non_finite: stats.non_finite.total(),
             samples: samples_done(settings, stats),
             noise: stats.noise,
             bias: stats.bias,
@@ -141,8 +141,11 @@ impl Summary {
         if let Some(b) = t.bias {
             text.push_str(&format!(" · relative bias {:.2} %", 100.0 * b.relative));
         }
-        if t.non_finite > 0 {
-            text.push_str(&format!(" · {} samples were not finite and left out", grouped(t.non_finite)));
+        let NonFinite { samples, splats, photons } = t.non_finite;
+        for (count, what) in [(samples, "samples"), (splats, "splats"), (photons, "photons")] {
+            if count > 0 {
+                text.push_str(&format!(" · {} {what} were not finite and left out", grouped(count)));
+            }
         }
         text
     }
@@ -265,7 +268,11 @@ pub fn stats_json(t: &JobStats) -> Value {
     json!({
         "maps": maps,
         "rays": t.rays,
-        "non_finite": t.non_finite,
+        "non_finite": json!({
+            "samples": t.non_finite.samples,
+            "splats": t.non_finite.splats,
+            "photons": t.non_finite.photons,
+        }),
         "mutations": (t.mutations.total() > 0).then(|| json!({
             "large": t.mutations.large,
             "large_accepted": t.mutations.large_accepted,
@@ -275,6 +282,8 @@ pub fn stats_json(t: &JobStats) -> Value {
         "gather_radius": t.gather_radius,
         "k": t.k,
         "busy_s": t.busy.as_secs_f64(),
+        "workers": t.workers,
+        "workers_lost": t.workers_lost,
         "retried_leases": t.retried_leases,
         "result_bytes": t.result_bytes,
         "broadcast_bytes": t.broadcast_bytes,

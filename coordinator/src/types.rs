@@ -5,7 +5,7 @@ use gatherlight_render::film::Film;
 use std::time::Duration;
 
 pub use gatherlight_proto::types::{
-    JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, ParseJobIdError, WorkerInfo,
+    JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite, ParseJobIdError, WorkerInfo,
 };
 
 /// A finished job of [`crate::embedded::render`].

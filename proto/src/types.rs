@@ -127,6 +127,24 @@ pub struct MapStats {
     pub bytes: u64,
 }
 
+/// What was not finite and was left out, by where it arose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NonFinite {
+    /// Camera samples.
+    pub samples: u64,
+    /// Splats of light paths and Markov chains.
+    pub splats: u64,
+    /// Photons and light vertices.
+    pub photons: u64,
+}
+
+impl NonFinite {
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.samples.saturating_add(self.splats).saturating_add(self.photons)
+    }
+}
+
 /// What a job has cost and counted so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JobStats {
@@ -135,7 +153,7 @@ pub struct JobStats {
     /// Rays traced by gather and splat phases.
     pub rays: u64,
     /// Samples and splats left out because they were not finite.
-    pub non_finite: u64,
+    pub non_finite: NonFinite,
     /// What Markov chains did.
     pub mutations: Mutations,
     /// The image's noise so far, once two rounds are there to compare.
@@ -150,6 +168,10 @@ pub struct JobStats {
     pub busy: Duration,
     /// Leases handed out again because a worker was lost, late or failed.
     pub retried_leases: u64,
+    /// Workers that were given work.
+    pub workers: u32,
+    /// Of them, those that were lost.
+    pub workers_lost: u32,
     /// Bytes of results received from workers.
     pub result_bytes: u64,
     /// Bytes of maps and bootstraps sent to workers.

@@ -12,7 +12,7 @@ use std::sync::Arc;
 pub struct Run {
     /// The closed rounds.
     pub film: Accumulator,
-    /// Samples and splats that were not finite.
+    /// Samples, splats and photons that were not finite.
     pub non_finite: u64,
 }
 
@@ -25,6 +25,7 @@ pub fn run(job: &PreparedJob, mut goes_on: impl FnMut(&Accumulator) -> bool) -> 
         let light = match phase {
             Phase::Emission { round, map, paths } => {
                 let batch = job.emit(round, map, EmissionRange { first: 0, end: paths });
+                run.non_finite += batch.non_finite;
                 inputs.maps.insert(Arc::new(job.build_map(map, batch)));
                 continue;
             }

@@ -204,6 +204,7 @@ fn map_of(data: &Data) -> PhotonMap {
         powers: vec![encode_rgbe(Rgb::WHITE); count],
         normals: data.normals.iter().map(|&n| encode_normal(n)).collect(),
         vertices: None,
+        non_finite: 0,
     };
     PhotonMap::build(MapKind::Global, batch)
 }

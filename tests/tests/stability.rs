@@ -110,7 +110,7 @@ fn every_sample_of_every_scene_is_finite() {
             let config = Config { threads: 1, ..Config::default() };
             let result = embedded::render(&bundle, &settings, &config, |_| ());
             let result = result.unwrap_or_else(|e| panic!("{name}, {}: {e}", method.name()));
-            assert_eq!(result.stats.non_finite, 0, "{name}, {}", method.name());
+            assert_eq!(result.stats.non_finite.total(), 0, "{name}, {}", method.name());
         }
     }
 }

@@ -214,7 +214,10 @@ mod tests {
         let empty = |kind| {
             let range = EmissionRange { first: 0, end: 0 };
             let (positions, powers, normals) = (Vec::new(), Vec::new(), Vec::new());
-            Arc::new(PhotonMap::build(kind, PhotonBatch { range, positions, powers, normals, vertices: None }))
+            Arc::new(PhotonMap::build(
+                kind,
+                PhotonBatch { range, positions, powers, normals, vertices: None, non_finite: 0 },
+            ))
         };
         for round in 0..100 {
             // Some rounds lack the caustic map.

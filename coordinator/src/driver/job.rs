@@ -149,6 +149,7 @@ impl JobRecord {
         }
         let done = job.done();
         self.stats.retried_leases = job.retried;
+        (self.stats.workers, self.stats.workers_lost) = (job.workers, job.workers_lost);
         self.stats.rounds_done = done.rounds;
         self.stats.units_done = done.units;
         self.stats.ended_by = done.ended_by;

@@ -115,6 +115,7 @@ impl Live {
     pub(super) fn put_to_use(&mut self, payload: Payload, phase: Phase, stats: &mut JobStats) -> Result<(), String> {
         match (payload, phase) {
             (Payload::Photons(batch), Phase::Emission { round, map, paths }) => {
+                stats.non_finite.photons = stats.non_finite.photons.saturating_add(batch.non_finite);
                 let merger = self.mergers.entry((round, map)).or_insert_with(|| new_merger(map, paths));
                 merger.insert(batch).map_err(|e| e.to_string())
             }
@@ -129,7 +130,7 @@ impl Live {
             (Payload::Tiles(tiles, light), Phase::Gather { round, .. }) => {
                 for tile in &tiles {
                     stats.rays = stats.rays.saturating_add(tile.rays);
-                    stats.non_finite = stats.non_finite.saturating_add(tile.non_finite);
+                    stats.non_finite.samples = stats.non_finite.samples.saturating_add(tile.non_finite);
                 }
                 if let Some(light) = &light {
                     count_light(light, stats);
@@ -280,7 +281,7 @@ pub(crate) struct ClosedRound {
 fn count_light(light: &LightImage, stats: &mut JobStats) {
     stats.rays = stats.rays.saturating_add(light.rays());
     stats.mutations.add(light.mutations());
-    stats.non_finite = stats.non_finite.saturating_add(light.non_finite());
+    stats.non_finite.splats = stats.non_finite.splats.saturating_add(light.non_finite());
 }
 
 impl Drop for Live {
@@ -344,7 +345,10 @@ mod tests {
     fn empty_map() -> PhotonMap {
         let range = EmissionRange { first: 0, end: 1 };
         let (positions, powers, normals) = (Vec::new(), Vec::new(), Vec::new());
-        PhotonMap::build(MapKind::Global, PhotonBatch { range, positions, powers, normals, vertices: None })
+        PhotonMap::build(
+            MapKind::Global,
+            PhotonBatch { range, positions, powers, normals, vertices: None, non_finite: 0 },
+        )
     }
 
     #[test]

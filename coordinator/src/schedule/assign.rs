@@ -39,6 +39,7 @@ impl Scheduler {
             self.turn.remove(position);
             self.turn.push_back(job);
             if self.workers.get_mut(&worker).is_some_and(|w| w.prepared.insert(job)) {
+                self.jobs.entry(job).and_modify(|j| j.workers += 1);
                 out.push(Command::Prepare { worker, job });
             }
             self.open(now, worker, job, phase, retry, out);

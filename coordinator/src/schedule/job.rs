@@ -89,6 +89,10 @@ pub struct Job {
     ended_by: Option<Limit>,
     /// Leases handed out again so far.
     pub retried: u64,
+    /// Workers that were given work so far.
+    pub workers: u32,
+    /// Of them, those that were lost before the job ended.
+    pub workers_lost: u32,
     /// Since when every worker that is there is set aside.
     pub stuck_since: Option<Duration>,
 }
@@ -163,6 +167,8 @@ impl Job {
             is_late: false,
             ended_by: None,
             retried: 0,
+            workers: 0,
+            workers_lost: 0,
             stuck_since: None,
         })
     }

@@ -239,6 +239,9 @@ impl Scheduler {
     /// A worker is gone: its leases are done by others.
     fn lost(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
         let Some(gone) = self.workers.remove(&worker) else { return };
+        for job in &gone.prepared {
+            self.jobs.entry(*job).and_modify(|j| j.workers_lost += 1);
+        }
         for lease in gone.leases {
             self.take_back(lease, |history| history.losses += 1, out);
         }

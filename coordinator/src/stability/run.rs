@@ -214,7 +214,7 @@ fn image(bundle: &SceneBundle, settings: &RenderSettings, workers: usize) -> Res
     let warnings = job.warnings().to_vec();
     let config = Config { threads: 1, workers, ..Config::default() };
     let result = embedded::render_prepared(bundle, job, &config, |_| ()).map_err(refused)?;
-    let (film, non_finite) = (result.film, result.stats.non_finite);
+    let (film, non_finite) = (result.film, result.stats.non_finite.total());
     Ok(Image { film, non_finite, warnings, time: started.elapsed() })
 }
 

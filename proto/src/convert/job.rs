@@ -4,7 +4,7 @@ use super::{map_kind, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
 use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
-use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, WorkerInfo};
+use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite, WorkerInfo};
 use crate::wire;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::film::{Bias, Noise};
@@ -122,10 +122,15 @@ impl From<&JobStats> for wire::JobStats {
         wire::JobStats {
             maps: s.maps.iter().map(map).collect(),
             rays: s.rays,
-            non_finite: s.non_finite,
+            non_finite: (s.non_finite.total() > 0).then(|| {
+                let NonFinite { samples, splats, photons } = s.non_finite;
+                wire::NonFinite { samples, splats, photons }
+            }),
             gather_radius: s.gather_radius,
             k: s.k,
             busy_ms: millis(s.busy),
+            workers: s.workers,
+            workers_lost: s.workers_lost,
             retried_leases: s.retried_leases,
             result_bytes: s.result_bytes,
             broadcast_bytes: s.broadcast_bytes,
@@ -166,7 +171,11 @@ impl TryFrom<wire::JobStats> for JobStats {
         Ok(JobStats {
             maps: s.maps.into_iter().map(map).collect::<Result<_, _>>()?,
             rays: s.rays,
-            non_finite: s.non_finite,
+            non_finite: s.non_finite.map_or_else(NonFinite::default, |n| NonFinite {
+                samples: n.samples,
+                splats: n.splats,
+                photons: n.photons,
+            }),
             mutations: s.mutations.map_or_else(Mutations::default, |m| Mutations {
                 large: m.large,
                 large_accepted: m.large_accepted,
@@ -178,6 +187,8 @@ impl TryFrom<wire::JobStats> for JobStats {
             gather_radius: s.gather_radius,
             k: s.k,
             busy: Duration::from_millis(s.busy_ms),
+            workers: s.workers,
+            workers_lost: s.workers_lost,
             retried_leases: s.retried_leases,
             result_bytes: s.result_bytes,
             broadcast_bytes: s.broadcast_bytes,

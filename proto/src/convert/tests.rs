@@ -4,7 +4,7 @@ use crate::digest::Digest;
 use crate::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, SceneManifest, Task, ToWorker,
 };
-use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats};
+use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite};
 use crate::wire;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::film::{Bias, Noise};
@@ -180,6 +180,9 @@ fn job_snapshots_survive() {
     let stats = JobStats {
         maps: vec![map],
         rays: 5,
+        non_finite: NonFinite { samples: 1, splats: 2, photons: 3 },
+        workers: 4,
+        workers_lost: 1,
         gather_radius: Some(0.5),
         k: 6,
         rounds_done: 7,

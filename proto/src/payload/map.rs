@@ -88,7 +88,8 @@ mod tests {
         let a = fuzz::photons(n, directions);
         let positions = (0..n).map(|i| [a.coordinates[0][i], a.coordinates[1][i], a.coordinates[2][i]]).collect();
         let range = EmissionRange { first: 0, end: 12_345 };
-        let batch = PhotonBatch { range, positions, powers: a.powers, normals: a.normals, vertices: a.vertices };
+        let batch =
+            PhotonBatch { range, positions, powers: a.powers, normals: a.normals, vertices: a.vertices, non_finite: 0 };
         PhotonMap::build(MapKind::Caustic, batch)
     }
 

@@ -1,18 +1,19 @@
 //! Photon batches ↔ bytes.
 //!
-//! Layout, little-endian: `GLPB`, version u32, flags u32 (1: light vertices, with directions), first path u64, end path u64, photons u64; then
+//! Layout, little-endian: `GLPB`, version u32, flags u32 (1: light vertices, with directions), first path u64, end path u64, photons u64, photons left
+//! out because they were not finite u64; then
 //! the photons (see `columns`). Order is kept.
 
 use super::columns::{self, Photons, ordered, packed_column};
 use super::header::Reader;
 use crate::error::WireError;
-use crate::limits::MAX_BATCH_PHOTONS;
+use crate::limits::{MAX_BATCH_PHOTONS, MAX_RESULT_COUNT};
 use bytes::Bytes;
 use gatherlight_render::photon::{EmissionRange, LightVertices, PhotonBatch};
 
 const MAGIC: [u8; 4] = *b"GLPB";
 const VERSION: u32 = 2;
-const HEADER_BYTES: usize = 36;
+const HEADER_BYTES: usize = 44;
 const DIRECTIONS: u32 = 1;
 const WHAT: &str = "photon batch";
 
@@ -42,6 +43,7 @@ pub fn encode_batch(batch: &PhotonBatch) -> Bytes {
     out.extend_from_slice(&batch.range.first.to_le_bytes());
     out.extend_from_slice(&batch.range.end.to_le_bytes());
     out.extend_from_slice(&(batch.len() as u64).to_le_bytes());
+    out.extend_from_slice(&batch.non_finite.to_le_bytes());
     columns::encode(batch, &mut out);
     Bytes::from(out)
 }
@@ -59,11 +61,13 @@ pub fn decode_batch(bytes: &[u8], range: EmissionRange, directions: bool) -> Res
     reader.expect("the end path", u64::from_le_bytes(reader.array()?), range.end)?;
     let count = u64::from_le_bytes(reader.array()?);
     WireError::check_limit("photons of a batch", count, MAX_BATCH_PHOTONS, "MAX_BATCH_PHOTONS")?;
+    let non_finite = u64::from_le_bytes(reader.array()?);
+    WireError::check_limit("photons that are not finite", non_finite, MAX_RESULT_COUNT, "MAX_RESULT_COUNT")?;
     let arrays = columns::decode(WHAT, bytes, HEADER_BYTES, count, directions)?;
     let [x, y, z] = &arrays.coordinates;
     let positions = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]).collect();
     let columns::Arrays { powers, normals, vertices, .. } = arrays;
-    Ok(PhotonBatch { range, positions, powers, normals, vertices })
+    Ok(PhotonBatch { range, positions, powers, normals, vertices, non_finite })
 }
 
 #[cfg(test)]
@@ -76,7 +80,14 @@ mod tests {
     fn batch(n: usize, directions: bool) -> PhotonBatch {
         let a = fuzz::photons(n, directions);
         let positions = (0..n).map(|i| [a.coordinates[0][i], a.coordinates[1][i], a.coordinates[2][i]]).collect();
-        PhotonBatch { range: RANGE, positions, powers: a.powers, normals: a.normals, vertices: a.vertices }
+        PhotonBatch {
+            range: RANGE,
+            positions,
+            powers: a.powers,
+            normals: a.normals,
+            vertices: a.vertices,
+            non_finite: 5,
+        }
     }
 
     #[test]

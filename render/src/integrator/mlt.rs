@@ -95,7 +95,8 @@ impl<'a> Mlt<'a> {
     pub fn scale(settings: &RenderSettings, bootstrap: &Bootstrap, chains: u32) -> f64 {
         let pixels = f64::from(settings.width) * f64::from(settings.height);
         let share = f64::from(chains) / f64::from(settings.chains);
-        pixels * bootstrap.mean() / (Self::mutations(settings) as f64 * share).max(1.0)
+        // The chains' share of all mutations, even where that is less than one each: the sum over all rounds is what counts.
+        pixels * bootstrap.mean() / (Self::mutations(settings) as f64 * share)
     }
 
     /// The brightness of the image over that of the bootstrap. The large steps that the chains proposed are such paths as the

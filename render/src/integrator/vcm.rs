@@ -97,6 +97,10 @@ pub fn choose_first_radius(round: &Round, pilot: EmissionRange, pixel: f32) -> (
 /// cosine, the BSDF reflects with the shading one.
 fn store(batch: &mut PhotonBatch, v: &Vertex) {
     let power = v.throughput * (v.bsdf.cos(v.wo) / v.bsdf.cos_geometric(v.wo));
+    if !power.is_finite() {
+        batch.non_finite += 1;
+        return;
+    }
     let code = encode_rgbe(power);
     let Some(vertices) = &mut batch.vertices else { return };
     if !v.is_connectible() || code == 0 {

@@ -70,6 +70,8 @@ pub struct PhotonBatch {
     pub normals: Vec<u16>,
     /// Of light vertices, what they carry besides.
     pub vertices: Option<LightVertices>,
+    /// Photons left out because their power was not finite.
+    pub non_finite: u64,
 }
 
 impl PhotonBatch {
@@ -81,6 +83,7 @@ impl PhotonBatch {
             powers: Vec::new(),
             normals: Vec::new(),
             vertices: vertices.then(LightVertices::default),
+            non_finite: 0,
         }
     }
     /// Number of stored photons.

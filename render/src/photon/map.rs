@@ -105,7 +105,7 @@ impl PhotonMap {
     /// # Panics
     /// When the batch's arrays differ in length, which [`super::merge`] rules out, or with more than 2³² − 1 photons.
     pub fn build(kind: MapKind, merged: PhotonBatch) -> PhotonMap {
-        let PhotonBatch { range, positions, powers, normals, vertices } = merged;
+        let PhotonBatch { range, positions, powers, normals, vertices, .. } = merged;
         let (tree, order) = KdTree::build(positions);
         PhotonMap {
             kind,

@@ -61,11 +61,15 @@ pub struct Photon {
 impl Emission<'_> {
     /// Traces the paths of `range` on the current rayon pool. The result does not depend on the number of threads.
     pub fn trace(&self, range: EmissionRange) -> PhotonBatch {
-        in_parallel(range, false, |index, batch| self.trace_path(index, &mut |p| store(batch, p)))
+        in_parallel(range, false, |index, batch| {
+            let non_finite = self.trace_path(index, &mut |p| store(batch, p));
+            batch.non_finite += non_finite;
+        })
     }
 
-    /// Traces path `index` and hands every stored photon to `sink`, in bounce order.
-    pub fn trace_path(&self, index: u64, sink: &mut impl FnMut(&Photon)) {
+    /// Traces path `index` and hands every stored photon to `sink`, in bounce order; returns the number of powers that were not
+    /// finite and were left out.
+    pub fn trace_path(&self, index: u64, sink: &mut impl FnMut(&Photon)) -> u64 {
         let purpose = match self.kind {
             MapKind::Global => Purpose::GlobalPhotons,
             MapKind::Caustic => Purpose::CausticPhotons,
@@ -75,22 +79,24 @@ impl Emission<'_> {
             Some(aim) => aim.sample(self.scene, &mut sampler),
             None => emit_by_power(self.scene, &mut sampler),
         };
-        if let Some(start) = emitted {
-            self.follow(start, &mut sampler, sink);
-        }
+        emitted.map_or(0, |start| self.follow(start, &mut sampler, sink))
     }
 
-    fn follow(&self, start: EmissionSample, sampler: &mut Sampler, sink: &mut impl FnMut(&Photon)) {
+    fn follow(&self, start: EmissionSample, sampler: &mut Sampler, sink: &mut impl FnMut(&Photon)) -> u64 {
         let scene = self.scene;
         let mut ray = Ray::new(start.origin, start.direction);
         let mut power = start.power;
         let mut interior = Interior::default();
         let (mut met_diffuse, mut met_other) = (false, false);
+        let mut non_finite = 0;
         for bounce in 0.. {
-            if power.is_black() || !power.is_finite() {
-                return;
+            if !power.is_finite() {
+                return non_finite + 1;
             }
-            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { return };
+            if power.is_black() {
+                break;
+            }
+            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { break };
             let wo = -ray.direction;
             power *= interior.transmittance_to(scene, &point, wo, distance);
             let bsdf = scene.bsdf(&point);
@@ -104,13 +110,17 @@ impl Emission<'_> {
                 && stored
                 && let Some(photon) = arriving(&point, &bsdf, wo, power)
             {
-                sink(&photon);
+                if photon.power.is_finite() {
+                    sink(&photon);
+                } else {
+                    non_finite += 1;
+                }
             }
             let lobes = match self.storage {
                 Storage::Caustic => Lobes::GLOSSY.union(Lobes::SPECULAR),
                 _ => Lobes::ALL,
             };
-            let Some((s, survival)) = scatter(&bsdf, wo, lobes, bounce, sampler) else { return };
+            let Some((s, survival)) = scatter(&bsdf, wo, lobes, bounce, sampler) else { break };
             power *= s.weight * (bsdf.importance_correction(wo, s.wi) / survival);
             met_diffuse |= s.lobe == Lobes::DIFFUSE;
             met_other |= s.lobe != Lobes::DIFFUSE;
@@ -119,6 +129,7 @@ impl Emission<'_> {
             }
             ray = Ray::new(point.spawn(s.wi), s.wi);
         }
+        non_finite
     }
 }
 
@@ -131,7 +142,7 @@ fn emit_by_power(scene: &Scene, sampler: &mut Sampler) -> Option<EmissionSample>
     Some(s)
 }
 
-/// The photon that `power` arriving from `wo` leaves at `point`.
+/// The photon that `power` arriving from `wo` leaves at `point`; its power may not be finite.
 fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<Photon> {
     let cos_geometric = wo.dot(point.ng);
     if cos_geometric == 0.0 {
@@ -140,7 +151,7 @@ fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<P
     // The density of photons measures irradiance with the geometric cosine; the lobe reflects with the shading one.
     let weight = bsdf.cos(wo) / cos_geometric.abs() * bsdf.diffuse_in_weight(wo);
     let power = power * weight;
-    (!power.is_black() && power.is_finite()).then(|| Photon {
+    (!power.is_black()).then(|| Photon {
         position: point.position,
         power,
         normal: if cos_geometric < 0.0 { -point.ng } else { point.ng },
@@ -203,6 +214,7 @@ fn concatenate(range: EmissionRange, vertices: bool, parts: Vec<PhotonBatch>) ->
         v.reserve_exact(count);
     }
     for mut part in parts {
+        whole.non_finite += part.non_finite;
         whole.positions.append(&mut part.positions);
         whole.powers.append(&mut part.powers);
         whole.normals.append(&mut part.normals);

@@ -12,6 +12,12 @@ const EDGES: f64 = 0.05;
 const CUT: &str =
     "roulette cuts paths of hundreds of edges: a path's standard deviation is 0.03/(1 − albedo) of the mean";
 
+/// Methods whose work grows with the square of the length of a path.
+const PAIRS: ([Method; 2], &str) = (
+    [Method::Bdpt, Method::Vcm],
+    "joins each of the hundreds of vertices of a path with each of another: tenths of a second a sample",
+);
+
 pub(super) fn cases() -> Vec<Case> {
     let (whitted, why) = DIRECT_ONLY;
     let paths = &Method::ALL[1..];
@@ -22,11 +28,13 @@ pub(super) fn cases() -> Vec<Case> {
         furnace("enclosure, albedo 0.999", 0.999, 1.0)
             .photons(10_000)
             .without(whitted, why)
+            .without(&PAIRS.0, PAIRS.1)
             .limited(paths, CUT)
             .large(),
         furnace("enclosure, albedo 0.9999", 0.9999, 1.0)
             .photons(10_000)
             .without(whitted, why)
+            .without(&PAIRS.0, PAIRS.1)
             .limited(paths, CUT)
             .large(),
         furnace("enclosure of radiance 1e-20", 0.5, 1e-20).without(whitted, why),
