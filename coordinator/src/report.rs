@@ -301,7 +301,7 @@ mod tests {
     fn each_method_counts_its_own_effort() {
         let of = |method| effort(&RenderSettings { samples: 1, ..RenderSettings::for_method(method) });
         assert_eq!(of(Method::Path), "1 sample");
-        assert_eq!(of(Method::Progressive), "64 rounds");
+        assert_eq!(of(Method::Progressive), "128 rounds");
         assert_eq!(of(Method::Mlt), "64 mutations a pixel");
         assert_eq!(samples_per_pixel(&RenderSettings::for_method(Method::Vcm)), Some(64));
     }
