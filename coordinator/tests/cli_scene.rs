@@ -99,13 +99,13 @@ fn the_plan_chooses_a_method_and_says_why() {
     assert!(name != "photon" && reason.contains("--max-depth"), "{name}: {reason}");
     let diffuse = scene("cornell-diffuse.glb");
     let plan = |options: &str| run(dir.path(), &format!("plan {} {options} --json", diffuse.display())).json();
-    let bounded = plan("--photons 10M --memory 4M");
+    let bounded = plan("--photons 10M --memory 2M");
     let words: Vec<&str> = bounded["settings"].as_str().unwrap().split(' ').collect();
     assert_eq!(words[1], "progressive");
     let rounds: u64 = words[words.iter().position(|w| *w == "--rounds").unwrap() + 1].parse().unwrap();
-    // What all photons would take, at 40 bytes a photon, in rounds of 4 MiB; the next lower number of rounds would not do.
+    // What all photons would take, at 40 bytes a photon, in rounds of 2 MiB; the next lower number of rounds would not do.
     let photons = bounded["plan"]["global"]["expected_stored"].as_u64().unwrap();
-    assert!(rounds > 64 && rounds.abs_diff(photons * 40 / (4 << 20)) <= 1, "{rounds} rounds of {photons} photons");
+    assert!(rounds > 128 && rounds.abs_diff(photons * 40 / (2 << 20)) <= 1, "{rounds} rounds of {photons} photons");
     let refused = |options: &str| run(dir.path(), &format!("plan {} {options}", diffuse.display()));
     refused("--photons 10M --memory 1").says(2, &["--memory", "would need", "emit fewer --photons"]);
     refused("--photons 10M --memory 8M --rounds 2").says(2, &["--memory: 8.00 MiB needs", "--rounds is 2"]);
