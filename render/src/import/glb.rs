@@ -6,7 +6,7 @@ use crate::error::SceneError;
 const MAGIC: &[u8; 4] = b"glTF";
 const CHUNK_JSON: u32 = 0x4e4f_534a;
 const CHUNK_BIN: u32 = 0x004e_4942;
-/// `PART`: the private chunk of [`super::cut`].
+/// `PART`: the private chunk of [`mod@super::cut`].
 const CHUNK_TABLE: u32 = 0x5452_4150;
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
@@ -17,7 +17,7 @@ pub(super) struct Container<'a> {
     pub(super) json: &'a [u8],
     /// The binary chunk of a .glb.
     pub(super) binary: Option<&'a [u8]>,
-    /// The table of a .glb of which a client sent a part: see [`super::cut`].
+    /// The table of a .glb of which a client sent a part: see [`mod@super::cut`].
     pub(super) table: Option<&'a [u8]>,
     /// Bytes after the declared end of a .glb.
     pub(super) trailing: usize,
