@@ -8,7 +8,7 @@ use gatherlight_render::settings::Method;
 const EDGES: f64 = 0.05;
 
 /// Paths that would go on for 1/(1 − ρ) edges are cut by roulette after some hundred, with weight (n/64)² for those that remain:
-/// E[S²] = Σ ρⁿ n³/(3 · 64²) · 2, so that the standard deviation of a path is 0.03/(1 − ρ) of the mean.
+/// E(S²) = Σ ρⁿ n³/(3 · 64²) · 2, so that the standard deviation of a path is 0.03/(1 − ρ) of the mean.
 const CUT: &str =
     "roulette cuts paths of hundreds of edges: a path's standard deviation is 0.03/(1 − albedo) of the mean";
 
