@@ -1,5 +1,6 @@
 //! Error against time of several methods on one scene: each is given the same time, its image is looked at after every round.
 
+use crate::report::timeline::logarithmic_slope;
 use gatherlight_render::film::Accumulator;
 use gatherlight_render::film::compare::compare;
 use gatherlight_render::import::SceneBundle;
@@ -43,18 +44,7 @@ pub struct Course {
 impl Course {
     /// Slope of log relMSE over log time by least squares; `None` for fewer than three points.
     pub fn slope(&self) -> Option<f64> {
-        let points: Vec<[f64; 2]> = self
-            .points
-            .iter()
-            .filter_map(|p| Some([p.elapsed.as_secs_f64().ln(), p.relative_mse?.ln()]))
-            .filter(|p| p.iter().all(|v| v.is_finite()))
-            .collect();
-        let n = points.len() as f64;
-        let mean = |i: usize| points.iter().map(|p| p[i]).sum::<f64>() / n;
-        let (x, y) = (mean(0), mean(1));
-        let (xy, xx) =
-            points.iter().fold((0.0, 0.0), |(xy, xx), p| (xy + (p[0] - x) * (p[1] - y), xx + (p[0] - x) * (p[0] - x)));
-        (points.len() >= 3 && xx > 0.0).then(|| xy / xx)
+        logarithmic_slope(self.points.iter().filter_map(|p| Some([p.elapsed.as_secs_f64(), p.relative_mse?])))
     }
     /// Its last point.
     pub fn last(&self) -> Option<&Point> {
@@ -93,7 +83,7 @@ pub fn course(
     time: Duration,
     reference: Option<&[Rgb]>,
 ) -> Result<Course, JobError> {
-    let pilot = run(bundle, &with_parts(settings, parts_of(settings).min(PILOT_PARTS)), time, None)?;
+    let pilot = run(bundle, &with_parts(settings, settings.parts().min(PILOT_PARTS)), time, None)?;
     // The first round comes with the maps or the bootstrap of methods that make them once.
     let parts = match (pilot.points.first(), pilot.last()) {
         (Some(first), Some(last)) if last.parts > first.parts => {
@@ -106,14 +96,6 @@ pub fn course(
     };
     let parts = parts.clamp(f64::from(PILOT_PARTS), f64::from(MAX_PARTS)) as u32;
     run(bundle, &with_parts(settings, parts), time, reference)
-}
-
-fn parts_of(settings: &RenderSettings) -> u32 {
-    match settings.method {
-        Method::Mlt => settings.chains,
-        m if m.has_rounds() => settings.rounds,
-        _ => settings.samples,
-    }
 }
 
 fn run(

@@ -427,7 +427,7 @@ impl RenderSettings {
         self.method.has_rounds() && self.merge == Merge::Shared
     }
     /// Number of camera samples, chains or rounds: what the blocks divide.
-    fn parts(&self) -> u32 {
+    pub fn parts(&self) -> u32 {
         match self.method {
             Method::Mlt => self.chains,
             m if m.has_rounds() => self.rounds,

@@ -1,14 +1,14 @@
 //! `gatherlight converge`: error over time of several methods on one scene.
 
 use super::error::{CliError, CliResult};
-use super::format::{duration, grouped, parse_duration};
+use super::format::{self, duration, grouped, parse_duration};
 use super::output::{check_writable, write_atomically};
 use super::progress::warn;
 use super::scene::SceneArgs;
 use super::{compare, print_json, print_result};
 use crate::compute::Compute;
 use crate::converge::{Course, course};
-use crate::report::html::{Curve, STYLE, escape, plot};
+use crate::report::html::{Curve, begin, escape, plot};
 use clap::Args;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::math::Rgb;
@@ -153,10 +153,9 @@ fn reference(
 
 fn table(courses: &[Course]) -> String {
     let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{:.2} %", 100.0 * v));
-    let mut rows = vec![["method", "time", "parts", "noise", "bias", "relMSE", "slope"].map(String::from)];
-    for c in courses {
-        let Some(p) = c.last() else { continue };
-        rows.push([
+    let row = |c: &Course| {
+        let p = c.last()?;
+        Some(vec![
             c.method.name().into(),
             duration(p.elapsed),
             grouped(p.parts),
@@ -164,18 +163,10 @@ fn table(courses: &[Course]) -> String {
             percent(p.bias),
             p.relative_mse.map_or("–".into(), |e| format!("{e:.2e}")),
             c.slope().map_or("–".into(), |s| format!("{s:.2}")),
-        ]);
-    }
-    let widths: Vec<usize> =
-        (0..7).map(|i| rows.iter().map(|r| r[i].chars().count()).max().unwrap_or_default()).collect();
-    let line = |row: &[String; 7]| {
-        let cells = row.iter().zip(&widths).enumerate();
-        let cell = |(i, (text, &width)): (usize, (&String, &usize))| {
-            if i == 0 { format!("{text:<width$}") } else { format!("{text:>width$}") }
-        };
-        cells.map(cell).collect::<Vec<_>>().join("  ")
+        ])
     };
-    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+    let rows: Vec<Vec<String>> = courses.iter().filter_map(row).collect();
+    format::table(&["method", "time", "parts", "noise", "bias", "relMSE", "slope"], &rows)
 }
 
 fn csv(courses: &[Course]) -> String {
@@ -206,12 +197,8 @@ fn to_json(c: &Course) -> Value {
 }
 
 fn page(scene: &str, reference: &str, courses: &[Course]) -> String {
-    let title = escape(&format!("Gatherlight: error over time, {scene}"));
-    let mut out = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title><style>{STYLE}</style></head>\
-         <body>\n<h1>{title}</h1>\n<p>Reference: {}</p>\n",
-        escape(reference)
-    );
+    let mut out = begin(&format!("Gatherlight: error over time, {scene}"));
+    let _ = writeln!(out, "<p>Reference: {}</p>", escape(reference));
     let curves = |value: &dyn Fn(&crate::converge::Point) -> Option<f64>| -> Vec<Curve> {
         let curve = |c: &Course| {
             let points = c.points.iter().filter_map(|p| Some([p.elapsed.as_secs_f64(), value(p)?]));

@@ -44,15 +44,9 @@ impl SceneArgs {
         let args = &self.settings;
         // Nonsense in the options is found before a large scene is read.
         args.check()?;
-        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let wanted = self.wanted();
         let bundle = read_bundle_for(&self.scene, wanted)?;
-        let description = if args.needs_scene() {
-            // Method and size do not depend on what images hold.
-            let outline = Wanted { images: false, ..wanted };
-            import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?
-        } else {
-            SceneDescription::default()
-        };
+        let description = if args.needs_scene() { outline(&bundle, wanted)? } else { SceneDescription::default() };
         let choice = args.method(&description)?;
         let aspect = camera_aspect(&description.cameras, &args.camera());
         drop(description);
@@ -62,6 +56,11 @@ impl SceneArgs {
             args.fit_memory(&mut settings, job.plan(), memory)?;
         }
         Ok(Loaded { bundle, settings, choice })
+    }
+
+    /// What of the scene is read.
+    fn wanted(&self) -> Wanted {
+        Wanted { everything: self.settings.keep_all(), ..Wanted::default() }
     }
 
     /// Reads the scene with every file it names, and makes the settings of each of `methods`; returns also the one that the scene
@@ -74,15 +73,18 @@ impl SceneArgs {
         if args.names_method() {
             return Err(CliError::Usage("--method: name the methods by --methods".into()));
         }
-        let wanted = Wanted { everything: args.keep_all(), ..Wanted::default() };
+        let wanted = self.wanted();
         let bundle = read_bundle_for(&self.scene, wanted)?;
-        // Methods and size do not depend on what images hold.
-        let outline = Wanted { images: false, ..wanted };
-        let description = import::load_for(&bundle, outline).map_err(|e| CliError::Failed(e.to_string()))?;
+        let description = outline(&bundle, wanted)?;
         let aspect = camera_aspect(&description.cameras, &args.camera());
         let settings = methods.iter().map(|&m| args.settings(m, aspect)).collect::<Result<_, _>>()?;
         Ok((bundle, settings, args.method(&description)?.method))
     }
+}
+
+/// The scene without what its images hold, on which neither method nor size depends.
+fn outline(bundle: &SceneBundle, wanted: Wanted) -> Result<SceneDescription, CliError> {
+    import::load_for(bundle, Wanted { images: false, ..wanted }).map_err(|e| CliError::Failed(e.to_string()))
 }
 
 /// Reads the scene at `path` with the external files that what is `wanted` needs, relative to its directory.

@@ -7,22 +7,14 @@ const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 320.0;
 const MARGIN: f64 = 56.0;
 
-/// Style of every page.
-pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
 table{border-collapse:collapse;margin:.5rem 0}td,th{padding:.15rem .8rem .15rem 0;text-align:left;vertical-align:top}\
 th{font-weight:600}td.n{text-align:right;font-variant-numeric:tabular-nums}svg text{font:12px system-ui,sans-serif;fill:#444}\
 .warn{color:#a40}";
 
 /// The page made of a report for scripts (see `Report::json`).
 pub fn page(report: &Value) -> String {
-    let mut out = String::new();
-    let title = format!("Gatherlight: {}", text(&report["summary"]["files"][0]));
-    let _ = write!(
-        out,
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style></head>\
-         <body>\n<h1>{0}</h1>\n",
-        escape(&title)
-    );
+    let mut out = begin(&format!("Gatherlight: {}", text(&report["summary"]["files"][0])));
     paragraphs(&mut out, &text(&report["text"]));
     for warning in list(&report["warnings"]) {
         let _ = writeln!(out, "<p class=\"warn\">Warning: {}</p>", escape(&text(warning)));
@@ -63,6 +55,15 @@ pub fn page(report: &Value) -> String {
     }
     out.push_str("</ul>\n</body></html>\n");
     out
+}
+
+/// The beginning of a page, up to and with its title.
+pub fn begin(title: &str) -> String {
+    let title = escape(title);
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title><style>{STYLE}</style></head>\
+         <body>\n<h1>{title}</h1>\n"
+    )
 }
 
 fn errors(out: &mut String, timeline: &Value) {

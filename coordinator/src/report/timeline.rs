@@ -71,20 +71,7 @@ impl Timeline {
     /// Slope of log error over log time by least squares, with wall time or with compute time; `None` for fewer than three
     /// moments. Independent samples give −1/2.
     pub fn slope(&self, time: impl Fn(&ErrorPoint) -> Duration) -> Option<f64> {
-        let points: Vec<[f64; 2]> = self
-            .errors
-            .iter()
-            .map(|e| [time(e).as_secs_f64().ln(), e.relative.ln()])
-            .filter(|p| p.iter().all(|v| v.is_finite()))
-            .collect();
-        let n = points.len() as f64;
-        let mean = |i: usize| points.iter().map(|p| p[i]).sum::<f64>() / n;
-        let (x, y) = (mean(0), mean(1));
-        let (xy, xx) = points.iter().fold((0.0, 0.0), |(xy, xx), p| {
-            let dx = p[0] - x;
-            (xy + dx * (p[1] - y), xx + dx * dx)
-        });
-        (points.len() >= 3 && xx > 0.0).then(|| xy / xx)
+        logarithmic_slope(self.errors.iter().map(|e| [time(e).as_secs_f64(), e.relative]))
     }
 
     /// For scripts; units are the last part of a name.
@@ -113,6 +100,19 @@ impl Timeline {
             "workers_most": self.workers,
         })
     }
+}
+
+/// Slope of log y over log x by least squares, over the points whose logarithms are finite; `None` for fewer than three.
+pub fn logarithmic_slope(points: impl Iterator<Item = [f64; 2]>) -> Option<f64> {
+    let points: Vec<[f64; 2]> = points.map(|p| p.map(f64::ln)).filter(|p| p.iter().all(|v| v.is_finite())).collect();
+    let n = points.len() as f64;
+    let mean = |i: usize| points.iter().map(|p| p[i]).sum::<f64>() / n;
+    let (x, y) = (mean(0), mean(1));
+    let (xy, xx) = points.iter().fold((0.0, 0.0), |(xy, xx), p| {
+        let dx = p[0] - x;
+        (xy + dx * (p[1] - y), xx + dx * dx)
+    });
+    (points.len() >= 3 && xx > 0.0).then(|| xy / xx)
 }
 
 fn state_name(state: &JobState) -> String {
