@@ -17,14 +17,18 @@ use gatherlight_render::settings::RenderSettings;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
-use tokio_stream::{Stream, StreamExt};
+use std::time::{Duration, Instant};
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
-use tonic::{Code, Status};
+use tonic::{Code, Response, Status, Streaming};
 
 /// Time between two reports of upload progress.
 const REPORT_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Longest time without a word of the coordinator after which a client that has reached it before gives up.
+const RETRY_FOR: Duration = Duration::from_secs(300);
 
 /// Attempts to reach a coordinator before giving up, by default.
 pub const DEFAULT_ATTEMPTS: u32 = 5;
@@ -71,6 +75,39 @@ pub enum ClientError {
     },
 }
 
+/// Calls repeated since the connection broke.
+#[derive(Default)]
+struct Retries {
+    count: u32,
+    since: Option<Instant>,
+}
+
+/// Why a call of several steps did not succeed.
+enum Failure {
+    /// The connection broke.
+    Broken(Status),
+    /// It never will.
+    Final(ClientError),
+}
+
+impl From<ClientError> for Failure {
+    fn from(error: ClientError) -> Self {
+        Failure::Final(error)
+    }
+}
+
+/// Whether a call failed because of the connection, or of a coordinator that is shutting down: not by an answer.
+fn is_broken(status: &Status) -> bool {
+    std::error::Error::source(status).is_some() || matches!(status.code(), Code::Unavailable | Code::Cancelled)
+}
+
+fn innermost(status: &Status) -> String {
+    match std::error::Error::source(status) {
+        Some(source) => reason(source),
+        None => status.message().to_owned(),
+    }
+}
+
 /// A job to submit.
 #[derive(Clone, Debug)]
 pub struct SubmitRequest {
@@ -82,6 +119,8 @@ pub struct SubmitRequest {
     pub settings: RenderSettings,
     /// When to end it early.
     pub limits: Limits,
+    /// Jobs of higher priority get workers first: from −100 to 100.
+    pub priority: i32,
 }
 
 /// A finished image.
@@ -96,11 +135,24 @@ pub struct FetchedImage {
 /// Snapshots of a job, ending after the final one.
 pub type ProgressStream = Pin<Box<dyn Stream<Item = Result<JobProgress, ClientError>> + Send>>;
 
+type Jobs = JobsClient<InterceptedService<Channel, Stamp>>;
+
+/// Hears why a call is repeated.
+#[derive(Clone)]
+struct Notice(Arc<dyn Fn(&str) + Send + Sync>);
+
+impl std::fmt::Debug for Notice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Notice")
+    }
+}
+
 /// A connection to a coordinator; clones share it.
 #[derive(Clone, Debug)]
 pub struct Client {
     url: Arc<str>,
-    jobs: JobsClient<InterceptedService<Channel, Stamp>>,
+    notice: Notice,
+    jobs: Jobs,
 }
 
 /// Connects to the coordinator at `url` (`http://HOST:PORT`), trying `attempts` times with growing pauses, and checks
@@ -128,7 +180,7 @@ pub async fn connect_as(url: &str, attempts: u32, versions: Versions) -> Result<
             Ok(channel) => {
                 let jobs = JobsClient::with_interceptor(channel, Stamp(versions));
                 let jobs = jobs.max_decoding_message_size(MAX_MESSAGE_BYTES);
-                let client = Client { url: url.into(), jobs };
+                let client = Client { url: url.into(), notice: Notice(Arc::new(|_| {})), jobs };
                 client.greet().await?;
                 return Ok(client);
             }
@@ -171,6 +223,40 @@ impl Client {
     fn snapshot(&self, job: wire::Job) -> Result<JobProgress, ClientError> {
         JobProgress::try_from(job).map_err(|e| self.senseless(e))
     }
+    /// The same, but `notice` hears when the connection broke and a call is repeated.
+    pub fn noticing(self, notice: impl Fn(&str) + Send + Sync + 'static) -> Self {
+        Client { notice: Notice(Arc::new(notice)), ..self }
+    }
+    /// Calls the coordinator, again and again while the connection is broken: one that is started again goes on with its jobs.
+    async fn call<T, F>(&self, call: impl Fn(Jobs) -> F) -> Result<T, ClientError>
+    where
+        F: Future<Output = Result<Response<T>, Status>>,
+    {
+        let mut retries = Retries::default();
+        loop {
+            match call(self.jobs.clone()).await {
+                Ok(reply) => return Ok(reply.into_inner()),
+                Err(status) if is_broken(&status) => {
+                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
+                }
+                Err(status) => return Err(self.failed(&status)),
+            }
+        }
+    }
+    /// Waits before a call is repeated; the error, once there is no hope.
+    async fn pause(&self, retries: &mut Retries, status: Status) -> Result<(), Status> {
+        let since = *retries.since.get_or_insert_with(Instant::now);
+        if since.elapsed() > RETRY_FOR {
+            return Err(status);
+        }
+        if retries.count == 0 {
+            let reason = innermost(&status);
+            (self.notice.0)(&format!("the connection to {} broke ({reason}); trying again", self.url));
+        }
+        tokio::time::sleep(pause(retries.count, random_u64())).await;
+        retries.count += 1;
+        Ok(())
+    }
     /// The coordinator's address.
     pub fn url(&self) -> &str {
         &self.url
@@ -184,11 +270,35 @@ impl Client {
         request: &SubmitRequest,
         mut uploaded: impl FnMut(u64, u64) + Send,
     ) -> Result<JobId, ClientError> {
+        // However often it is sent, it is one job.
+        let request_key: [u8; 16] =
+            [random_u64(), random_u64()].map(u64::to_le_bytes).concat().try_into().unwrap_or_default();
+        let mut retries = Retries::default();
+        loop {
+            match self.submit_once(request, request_key, &mut uploaded).await {
+                Err(Failure::Broken(status)) => {
+                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
+                }
+                Err(Failure::Final(error)) => return Err(error),
+                Ok(id) => return Ok(id),
+            }
+        }
+    }
+    async fn submit_once(
+        &self,
+        request: &SubmitRequest,
+        request_key: [u8; 16],
+        uploaded: &mut (impl FnMut(u64, u64) + Send),
+    ) -> Result<JobId, Failure> {
+        let failed = |status: Status| match is_broken(&status) {
+            true => Failure::Broken(status),
+            false => Failure::Final(self.failed(&status)),
+        };
         // A scene that is damaged is sent as it is: the coordinator says what is wrong with it.
         let needed = job::cut(&request.bundle, &request.settings).unwrap_or_else(|_| request.bundle.clone());
         let (manifest, files) = manifest::pack(&needed);
         let blobs = manifest.blobs().into_iter().map(Into::into).collect();
-        let missing = self.jobs.clone().missing(wire::MissingRequest { blobs }).await.map_err(|s| self.failed(&s))?;
+        let missing = self.jobs.clone().missing(wire::MissingRequest { blobs }).await.map_err(failed)?;
         let mut wanted = Vec::new();
         for digest in missing.into_inner().digests {
             let digest = Digest::try_from(&digest[..]).map_err(|e| self.senseless(e))?;
@@ -198,18 +308,18 @@ impl Client {
         let total: u64 = wanted.iter().map(|(_, bytes)| bytes.len() as u64).sum();
         let sent = Arc::new(AtomicU64::new(0));
         for (digest, bytes) in wanted {
-            self.upload(digest, bytes, &sent, |now| uploaded(now, total)).await?;
+            self.upload(digest, bytes, &sent, |now| uploaded(now, total)).await.map_err(failed)?;
         }
         uploaded(total, total);
-        let request_key = [random_u64(), random_u64()].map(u64::to_le_bytes).concat();
         let submission = wire::SubmitRequest {
             name: request.name.clone(),
             scene: Some((&manifest).into()),
             settings: Some((&request.settings).into()),
-            request_key: request_key.into(),
+            request_key: request_key.to_vec().into(),
             limits: Some(request.limits.into()),
+            priority: request.priority,
         };
-        let reply = self.jobs.clone().submit(submission).await.map_err(|s| self.failed(&s))?;
+        let reply = self.jobs.clone().submit(submission).await.map_err(failed)?;
         Ok(JobId(reply.into_inner().job))
     }
     async fn upload(
@@ -218,7 +328,7 @@ impl Client {
         bytes: Bytes,
         sent: &Arc<AtomicU64>,
         mut report: impl FnMut(u64) + Send,
-    ) -> Result<(), ClientError> {
+    ) -> Result<(), Status> {
         let count = sent.clone();
         let pieces = chunks(bytes, digest).inspect(move |c| {
             count.fetch_add(c.data.len() as u64, Ordering::Relaxed);
@@ -227,7 +337,7 @@ impl Client {
         let mut upload = std::pin::pin!(jobs.upload(tokio_stream::iter(pieces)));
         loop {
             tokio::select! {
-                done = &mut upload => return done.map(drop).map_err(|s| self.failed(&s)),
+                done = &mut upload => return done.map(drop),
                 () = tokio::time::sleep(REPORT_INTERVAL) => report(sent.load(Ordering::Relaxed)),
             }
         }
@@ -237,49 +347,98 @@ impl Client {
     /// # Errors
     /// When the connection breaks.
     pub async fn list(&self) -> Result<Vec<JobProgress>, ClientError> {
-        let reply = self.jobs.clone().list(wire::ListRequest {}).await.map_err(|s| self.failed(&s))?;
-        reply.into_inner().jobs.into_iter().map(|j| self.snapshot(j)).collect()
+        let reply = self.call(|mut jobs| async move { jobs.list(wire::ListRequest {}).await }).await?;
+        reply.jobs.into_iter().map(|j| self.snapshot(j)).collect()
     }
     /// One job.
     ///
     /// # Errors
     /// When there is no such job or the connection breaks.
     pub async fn get(&self, id: JobId) -> Result<JobProgress, ClientError> {
-        let reply = self.jobs.clone().get(wire::GetRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
-        self.snapshot(reply.into_inner())
+        let reply = self.call(|mut jobs| async move { jobs.get(wire::GetRequest { job: id.0 }).await }).await?;
+        self.snapshot(reply)
     }
-    /// Snapshots of one job as it goes on, until its final state.
+    /// Snapshots of one job as it goes on, until its final state; also where the coordinator is started again meanwhile.
     ///
     /// # Errors
-    /// When there is no such job or the connection breaks.
+    /// When there is no such job, or the connection breaks and does not come back.
     pub async fn watch(&self, id: JobId) -> Result<ProgressStream, ClientError> {
-        let reply = self.jobs.clone().watch(wire::WatchRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
+        let first = self.call(|mut jobs| async move { jobs.watch(wire::WatchRequest { job: id.0 }).await }).await?;
+        let (sender, receiver) = tokio::sync::mpsc::channel(1);
         let client = self.clone();
-        let snapshots = reply.into_inner().map(move |item| match item {
-            Ok(job) => client.snapshot(job),
-            Err(status) => Err(client.failed(&status)),
+        tokio::spawn(async move {
+            if let Err(error) = client.watch_on(id, first, &sender).await {
+                drop(sender.send(Err(error)).await);
+            }
         });
-        Ok(Box::pin(snapshots))
+        Ok(Box::pin(ReceiverStream::new(receiver)))
+    }
+    async fn watch_on(
+        &self,
+        id: JobId,
+        mut stream: Streaming<wire::Job>,
+        sender: &tokio::sync::mpsc::Sender<Result<JobProgress, ClientError>>,
+    ) -> Result<(), ClientError> {
+        let mut retries = Retries::default();
+        loop {
+            let broken = match stream.message().await {
+                Ok(Some(job)) => {
+                    let snapshot = self.snapshot(job)?;
+                    let last = snapshot.state.is_final();
+                    retries = Retries::default();
+                    if sender.send(Ok(snapshot)).await.is_err() || last {
+                        return Ok(());
+                    }
+                    continue;
+                }
+                Ok(None) => Status::unavailable("the coordinator stopped reporting"),
+                Err(status) if is_broken(&status) => status,
+                Err(status) => return Err(self.failed(&status)),
+            };
+            self.pause(&mut retries, broken).await.map_err(|s| self.failed(&s))?;
+            stream = self.call(|mut jobs| async move { jobs.watch(wire::WatchRequest { job: id.0 }).await }).await?;
+        }
     }
     /// The finished image. `received` hears (bytes received, bytes in all).
     ///
     /// # Errors
-    /// When there is no such job, it is not done, or the connection breaks.
+    /// When there is no such job, it is not done, or the connection breaks and does not come back.
     pub async fn fetch(
         &self,
         id: JobId,
         mut received: impl FnMut(u64, u64) + Send,
     ) -> Result<FetchedImage, ClientError> {
+        let mut retries = Retries::default();
+        loop {
+            match self.fetch_once(id, &mut received).await {
+                Err(Failure::Broken(status)) => {
+                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
+                }
+                Err(Failure::Final(error)) => return Err(error),
+                Ok(image) => return Ok(image),
+            }
+        }
+    }
+    async fn fetch_once(
+        &self,
+        id: JobId,
+        received: &mut (impl FnMut(u64, u64) + Send),
+    ) -> Result<FetchedImage, Failure> {
+        let failed = |status: Status| match is_broken(&status) {
+            true => Failure::Broken(status),
+            false => Failure::Final(self.failed(&status)),
+        };
+        let senseless = |e: WireError| Failure::Final(self.senseless(e));
         let request = wire::FetchImageRequest { job: id.0 };
-        let mut stream = self.jobs.clone().fetch_image(request).await.map_err(|s| self.failed(&s))?.into_inner();
+        let mut stream = self.jobs.clone().fetch_image(request).await.map_err(failed)?.into_inner();
         let mut assembler = Assembler::new("image size in bytes", MAX_IMAGE_BYTES, "MAX_IMAGE_BYTES");
         let mut total = 0;
-        while let Some(chunk) = stream.message().await.map_err(|s| self.failed(&s))? {
+        while let Some(chunk) = stream.message().await.map_err(failed)? {
             total = total.max(chunk.total_bytes);
-            assembler.push(&chunk).map_err(|e| self.senseless(e))?;
+            assembler.push(&chunk).map_err(senseless)?;
             received(assembler.received(), total);
         }
-        let (exr, digest) = assembler.finish().map_err(|e| self.senseless(e))?;
+        let (exr, digest) = assembler.finish().map_err(senseless)?;
         Ok(FetchedImage { exr, digest: digest.to_string() })
     }
     /// Cancels a job; one that has ended stays as it is. Returns its state afterwards.
@@ -287,15 +446,15 @@ impl Client {
     /// # Errors
     /// When there is no such job or the connection breaks.
     pub async fn cancel(&self, id: JobId) -> Result<JobProgress, ClientError> {
-        let reply = self.jobs.clone().cancel(wire::CancelRequest { job: id.0 }).await.map_err(|s| self.failed(&s))?;
-        self.snapshot(reply.into_inner())
+        let reply = self.call(|mut jobs| async move { jobs.cancel(wire::CancelRequest { job: id.0 }).await }).await?;
+        self.snapshot(reply)
     }
     /// The workers that are there.
     ///
     /// # Errors
     /// When the connection breaks.
     pub async fn workers(&self) -> Result<Vec<WorkerInfo>, ClientError> {
-        let reply = self.jobs.clone().workers(wire::WorkersRequest {}).await.map_err(|s| self.failed(&s))?;
-        Ok(reply.into_inner().workers.into_iter().map(Into::into).collect())
+        let reply = self.call(|mut jobs| async move { jobs.workers(wire::WorkersRequest {}).await }).await?;
+        Ok(reply.workers.into_iter().map(Into::into).collect())
     }
 }

@@ -164,7 +164,8 @@ fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>, limits: Limits) -> Spe
     let mut request_key = [0; 16];
     request_key[..8].copy_from_slice(&random_u64().to_le_bytes());
     let (manifest, _) = manifest::pack(bundle);
-    Spec { name: bundle.name.clone(), request_key, manifest, settings: prepared.settings().clone(), limits, prepared }
+    let (name, settings) = (bundle.name.clone(), prepared.settings().clone());
+    Spec { name, request_key, limits, ..Spec::new(manifest, settings, prepared) }
 }
 
 /// The coordinator's services and the workers, joined by pipes.

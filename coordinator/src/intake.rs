@@ -23,6 +23,10 @@ pub(crate) struct Submission {
     pub(crate) settings: RenderSettings,
     /// When to end it early.
     pub(crate) limits: Limits,
+    /// Jobs of higher priority get workers first.
+    pub(crate) priority: i32,
+    /// Who submits it; empty: anybody.
+    pub(crate) owner: String,
 }
 
 /// Why a submission did not become a job.
@@ -55,7 +59,7 @@ pub(crate) async fn submit(
     if let Some(job) = driver.find(submission.request_key).await {
         return Ok(job);
     }
-    let Submission { name, request_key, manifest, settings, limits } = submission;
+    let Submission { name, request_key, manifest, settings, limits, priority, owner } = submission;
     let (files, own) = (manifest.clone(), settings.clone());
     let blobs = store.clone();
     let prepare = move || {
@@ -64,10 +68,10 @@ pub(crate) async fn submit(
     };
     let prepared = compute.run(prepare).await.map_err(|e| IntakeError::Internal(e.to_string()))??;
     let prepared = Arc::new(prepared);
-    Ok(driver.submit(Spec { name, request_key, manifest, settings, limits, prepared }).await?)
+    Ok(driver.submit(Spec { name, request_key, manifest, settings, limits, priority, owner, prepared }).await?)
 }
 
-fn load(store: &Store, manifest: &SceneManifest) -> Result<SceneBundle, IntakeError> {
+pub(crate) fn load(store: &Store, manifest: &SceneManifest) -> Result<SceneBundle, IntakeError> {
     let file = |what: &str, blob: BlobRef| -> Result<Arc<[u8]>, IntakeError> {
         let bytes = store.get(blob.digest).map_err(|e| IntakeError::Blob(format!("{what}: {e}")))?;
         if bytes.len() as u64 != blob.bytes {

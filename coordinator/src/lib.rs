@@ -20,6 +20,7 @@ mod merge;
 mod random;
 mod reduce;
 pub mod report;
+mod result;
 pub mod schedule;
 pub mod server;
 mod service;

@@ -285,6 +285,8 @@ pub fn stats_json(t: &JobStats) -> Value {
         "workers": t.workers,
         "workers_lost": t.workers_lost,
         "retried_leases": t.retried_leases,
+        "disputes": t.disputes,
+        "restarts": t.restarts,
         "result_bytes": t.result_bytes,
         "broadcast_bytes": t.broadcast_bytes,
         "rounds_done": t.rounds_done,

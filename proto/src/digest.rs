@@ -3,6 +3,7 @@
 use crate::error::WireError;
 use bytes::Bytes;
 use std::fmt;
+use std::str::FromStr;
 
 /// BLAKE3 of some bytes; their name everywhere.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -29,6 +30,21 @@ impl TryFrom<&[u8]> for Digest {
     }
 }
 
+impl FromStr for Digest {
+    type Err = WireError;
+    fn from_str(text: &str) -> Result<Self, WireError> {
+        let invalid = || WireError::invalid("digest", "has to be 64 hexadecimal digits");
+        let mut digest = [0; 32];
+        if text.len() != 64 || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
+            return Err(invalid());
+        }
+        for (i, byte) in digest.iter_mut().enumerate() {
+            *byte = u8::from_str_radix(&text[2 * i..2 * i + 2], 16).map_err(|_| invalid())?;
+        }
+        Ok(Digest(digest))
+    }
+}
+
 impl fmt::Display for Digest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
@@ -38,5 +54,19 @@ impl fmt::Display for Digest {
 impl fmt::Debug for Digest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_digest_is_read_as_it_is_written() {
+        let digest = Digest::of(b"a");
+        assert_eq!(Digest::from_str(&digest.to_string()), Ok(digest));
+        for bad in ["", "12", &"g".repeat(64), &"+".repeat(64), &"é".repeat(32)] {
+            assert!(Digest::from_str(bad).is_err(), "{bad}");
+        }
     }
 }

@@ -36,6 +36,8 @@ pub const MAX_EXTERNALS: usize = 16_384;
 pub const MAX_NAME_BYTES: usize = 4_096;
 /// Longest error text taken from a peer, in bytes; the rest is cut off.
 pub const MAX_ERROR_BYTES: usize = 4_096;
+/// Highest priority of a job; the lowest is its negative.
+pub const MAX_PRIORITY: i32 = 100;
 /// Most threads a worker may claim.
 pub const MAX_THREADS: u32 = 4_096;
 /// Window of one HTTP/2 stream: 4 MiB keeps 1 Gbit/s busy at 30 ms.

@@ -139,6 +139,12 @@ pub struct NonFinite {
 }
 
 impl NonFinite {
+    /// Adds others.
+    pub fn add(&mut self, other: &NonFinite) {
+        self.samples = self.samples.saturating_add(other.samples);
+        self.splats = self.splats.saturating_add(other.splats);
+        self.photons = self.photons.saturating_add(other.photons);
+    }
     /// All of them.
     pub fn total(&self) -> u64 {
         self.samples.saturating_add(self.splats).saturating_add(self.photons)
@@ -182,6 +188,27 @@ pub struct JobStats {
     pub units_done: u64,
     /// The limit that ended the job before its last round or unit.
     pub ended_by: Option<Limit>,
+    /// Results that two workers gave for the same indices and that differ: one of them has bad hardware.
+    pub disputes: u64,
+    /// Times the coordinator was restarted amid the job.
+    pub restarts: u32,
+}
+
+impl JobStats {
+    /// Adds the work that `part` counts: rays, mutations, what was not finite, time, and bytes of results and maps.
+    pub fn add(&mut self, part: &JobStats) {
+        self.rays = self.rays.saturating_add(part.rays);
+        self.mutations.add(&part.mutations);
+        self.non_finite.add(&part.non_finite);
+        self.busy += part.busy;
+        self.result_bytes += part.result_bytes;
+        for map in &part.maps {
+            match self.maps.iter_mut().find(|m| m.kind == map.kind) {
+                Some(m) => m.bytes += map.bytes,
+                None => self.maps.push(*map),
+            }
+        }
+    }
 }
 
 /// A snapshot of one job.
@@ -213,6 +240,10 @@ pub struct JobProgress {
     pub stats: JobStats,
     /// BLAKE3 digest of the finished EXR, once done.
     pub result_digest: Option<Digest>,
+    /// Jobs of higher priority get workers first.
+    pub priority: i32,
+    /// Why no worker works on it, as a sentence; empty where one does, or will.
+    pub waits_for: String,
 }
 
 /// A worker as the coordinator sees it.

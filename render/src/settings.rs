@@ -8,6 +8,7 @@ pub(crate) use options::enumerate;
 pub use strategies::Strategy;
 
 use crate::error::SettingsError;
+use serde::{Deserialize, Serialize};
 
 /// Largest number of pixels along one side.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;
@@ -106,7 +107,7 @@ pub enum Kernel {
 }
 
 /// Extra image layers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Layer {
     /// Radiance of direct light (emission seen included).
     Direct,

@@ -163,7 +163,7 @@ impl Drop for Worker {
 /// A request to render `bundle`.
 pub fn request(bundle: &SceneBundle, settings: &RenderSettings) -> SubmitRequest {
     let limits = Limits::default();
-    SubmitRequest { name: bundle.name.clone(), bundle: bundle.clone(), settings: settings.clone(), limits }
+    SubmitRequest { name: bundle.name.clone(), bundle: bundle.clone(), settings: settings.clone(), limits, priority: 0 }
 }
 
 /// Watches a job until `enough` is seen.

@@ -74,8 +74,20 @@ impl Drop for Process {
 /// # Panics
 /// When it does not start.
 pub fn serve(store: &Path) -> (Process, String) {
+    spawn_coordinator("127.0.0.1:0", store)
+}
+
+/// A coordinator at `address`.
+///
+/// # Panics
+/// When it does not start.
+pub fn serve_at(address: &str, store: &Path) -> Process {
+    spawn_coordinator(address, store).0
+}
+
+fn spawn_coordinator(address: &str, store: &Path) -> (Process, String) {
     let mut command = Command::new(program("gatherlight"));
-    command.args(["serve", "--listen", "127.0.0.1:0", "--threads", "1", "--store"]).arg(store);
+    command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
     let mut line = String::new();
     BufReader::new(child.stdout.take().expect("is piped")).read_line(&mut line).expect("says where it listens");

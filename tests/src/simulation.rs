@@ -4,8 +4,9 @@ mod checks;
 
 use checks::Counted;
 use gatherlight::schedule::job::Done;
-use gatherlight::schedule::{Command, Event, Policy, Scheduler};
+use gatherlight::schedule::{Command, Event, Policy, Scheduler, Terms};
 use gatherlight::types::{JobId, Limits};
+use gatherlight_proto::Digest;
 use gatherlight_proto::message::{Lease, Task, WorkerId};
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::MapKind;
@@ -98,7 +99,9 @@ pub struct Report {
     pub widest_window: usize,
     /// Leases handed out again.
     pub retried: u64,
-    /// Results that did not count.
+    /// Leases run twice, on a worker that had nothing else to do.
+    pub repeated: u64,
+    /// Results that did not count, beside those of such leases.
     pub discarded: u64,
     /// Workers that crashed.
     pub crashes: u64,
@@ -294,14 +297,15 @@ impl World<'_> {
             Due::Submit(i) => {
                 let phases = self.phases[i].clone();
                 let limits = Limits { time: self.conditions.time_limit.map(Duration::from_micros), error: None };
-                self.event(Event::Submitted { job: JobId(i as u64), phases, limits });
+                let terms = Box::new(Terms { limits, ..Terms::default() });
+                self.event(Event::Submitted { job: JobId(i as u64), phases, terms });
             }
             Due::Join { speed, broken } => {
                 self.last_worker += 1;
                 let id = WorkerId(self.last_worker);
                 let new = Virtual { speed, broken, queue: Vec::new(), computing: None, stalled_until: 0, busy: 0 };
                 self.workers.insert(id, new);
-                self.event(Event::Joined { worker: id, threads: 4 });
+                self.event(Event::Joined { worker: id, threads: 4, memory_bytes: u64::MAX });
                 self.plan(self.now + BEAT, Due::Beat(id));
             }
             Due::Beat(worker) => {
@@ -369,7 +373,7 @@ impl World<'_> {
         } else {
             let busy = Duration::from_micros(range.len() * cost(&task) * 1_000_000 / speed + 1);
             let stored = range.len() / 2;
-            let done = Event::Completed { worker, lease, attempt, range, busy, stored };
+            let done = Event::Completed { worker, lease, attempt, range, busy, stored, digest: Digest([0; 32]) };
             if self.random.chance(self.conditions.repeat) {
                 self.send(done.clone(), worker);
             }
@@ -386,11 +390,17 @@ impl World<'_> {
             }
             _ => None,
         };
+        let slower = match &event {
+            Event::Completed { worker, lease, attempt, .. } => {
+                self.scheduler.settled(*worker, *lease, *attempt).is_some()
+            }
+            _ => false,
+        };
         let commands = self.scheduler.handle(Duration::from_micros(self.now), event);
         for command in commands {
             match &command {
                 Command::Accept { lease, .. } => self.accept(*lease, completed.as_ref()),
-                Command::Discard { .. } => self.report.discarded += 1,
+                Command::Discard { .. } => self.report.discarded += u64::from(!slower),
                 Command::Build { job, phase } => self.build(*job, *phase),
                 Command::Retire { job, round } => self.assert_round_complete(*job, *round),
                 Command::Assemble { job, done } => {
@@ -407,11 +417,14 @@ impl World<'_> {
                 | Command::Forget { worker, .. } => {
                     let (worker, number, at) = (*worker, self.next_entry, self.now + self.delay());
                     if let Command::Assign { lease, .. } = &command {
-                        self.report.retried += u64::from(lease.attempt > 1);
+                        let repeated = self.scheduler.lease(lease.id).is_some_and(|l| l.twin.is_some());
+                        self.report.repeated += u64::from(repeated);
+                        self.report.retried += u64::from(lease.attempt > 1 && !repeated);
                     }
                     self.to_worker.insert(number, command.clone());
                     self.plan(at, Due::Arrive(worker, number));
                 }
+                Command::Dispute { .. } => panic!("seed {}: virtual workers all compute the same", self.seed),
                 // Whoever is dismissed notices, and comes back.
                 Command::Dismiss { worker, .. } => self.disconnect(*worker),
             }

@@ -145,14 +145,19 @@ async fn a_task_that_fails_everywhere_fails_the_job_with_the_workers_errors() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_map_that_does_not_fit_into_a_workers_memory_is_said_so() {
-    let (_store, coordinator) = start(Policy { patience: Duration::from_millis(200), ..small_leases() }).await;
-    let small = WorkerConfig { threads: 1, memory_bytes: 1_000, ..WorkerConfig::new("small") };
-    let _worker = coordinator.worker_with(small);
+async fn a_job_waits_for_a_worker_with_enough_memory_and_says_so() {
+    let (_store, coordinator) = start(small_leases()).await;
+    let small = WorkerConfig { threads: 1, memory_bytes: 1 << 20, ..WorkerConfig::new("small") };
+    let _small = coordinator.worker_with(small);
     let client = coordinator.client().await;
     let id = client.submit(&request(&RING, &small_settings()), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
-    let JobState::Failed(reason) = final_state(&client, id).await.state else { panic!("did not fail") };
-    assert!(reason.contains("1000 bytes") && reason.contains("--memory"), "{reason}");
+    let waiting = watch_until(&client, id, |p| p.waits_for.contains("memory")).await;
+    assert_eq!(waiting.state, JobState::Waiting);
+    assert!(waiting.waits_for.contains("has 1 MiB") && waiting.waits_for.contains("--memory"), "{waiting:?}");
+    // One that has the memory does it all.
+    let _large = coordinator.worker("large", Faults::default());
+    let done = watch_until(&client, id, |p| p.state.is_final()).await;
+    assert_eq!((done.state, done.stats.workers, done.waits_for.as_str()), (JobState::Done, 1, ""));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -34,7 +34,7 @@ impl ConnectionArgs {
     {
         runtime()?.block_on(async {
             let client = client::connect(&self.coordinator, self.attempts).await?;
-            work(client).await
+            work(client.noticing(|text| eprintln!("warning: {text}"))).await
         })
     }
 }

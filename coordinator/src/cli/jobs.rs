@@ -47,6 +47,7 @@ fn row(p: &JobProgress) -> Vec<String> {
         Some(round) => format!("{state}, {round}"),
         None => state,
     };
+    let state = if p.waits_for.is_empty() { state } else { format!("{state}: {}", p.waits_for) };
     let done = match p.total {
         0 => String::new(),
         total => format!("{:.0} %", 100.0 * p.done as f64 / total as f64),

@@ -25,6 +25,8 @@ pub(super) fn job(p: &JobProgress) -> Value {
         "state_elapsed_s": p.state_elapsed.as_secs_f64(),
         "elapsed_s": p.elapsed.as_secs_f64(),
         "workers": p.workers,
+        "priority": p.priority,
+        "waits_for": Some(&p.waits_for).filter(|w| !w.is_empty()),
         "result_digest": p.result_digest.as_ref().map(ToString::to_string),
         "stats": stats_json(&p.stats),
     })

@@ -94,6 +94,8 @@ pub(super) struct JobView {
     in_rounds: bool,
     /// When the last event was printed, and the state and rounds it told of.
     told: Option<(Instant, JobState, u32)>,
+    /// What the job waits for, as it was last said.
+    waits_for: String,
 }
 
 /// Least time between two events that tell of the same state and round.
@@ -119,7 +121,7 @@ struct Figures {
 impl JobView {
     /// A view that has seen nothing yet.
     pub(super) fn new(style: Style) -> Self {
-        JobView { style, current: None, in_rounds: false, told: None }
+        JobView { style, current: None, in_rounds: false, told: None, waits_for: String::new() }
     }
 
     /// Shows a snapshot.
@@ -129,6 +131,12 @@ impl JobView {
         }
         if self.style == Style::Json {
             return self.tell(p);
+        }
+        if p.waits_for != self.waits_for {
+            self.waits_for.clone_from(&p.waits_for);
+            if !p.waits_for.is_empty() {
+                eprintln!("job {} waits: {}", p.id, p.waits_for);
+            }
         }
         if p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting && p.state != JobState::Assemble {
             return self.update_rounds(p);

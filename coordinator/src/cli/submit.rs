@@ -43,6 +43,10 @@ pub(super) struct SubmitArgs {
     /// Name in listings [default: the scene file's]
     #[arg(long, value_name = "NAME", help_heading = "Run")]
     name: Option<String>,
+    /// Jobs of higher priority get workers first; jobs of the same one share them
+    #[arg(long, value_name = "N", help_heading = "Run", default_value_t = 0, allow_negative_numbers = true,
+        value_parser = clap::value_parser!(i32).range(-100..=100))]
+    priority: i32,
     /// Treat warnings as errors: no light, no camera, unsupported features
     #[arg(long, help_heading = "Run")]
     strict: bool,
@@ -60,7 +64,7 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let Loaded { bundle, settings, .. } = loaded;
     let Preflight { plan, warnings, .. } = preflight;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
-    let request = SubmitRequest { name, bundle, settings, limits };
+    let request = SubmitRequest { name, bundle, settings, limits, priority: args.priority };
     args.connection.run(|client| submit(client, args, request, output, [plan, warnings]))
 }
 

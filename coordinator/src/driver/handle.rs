@@ -2,14 +2,14 @@
 
 use super::job::Spec;
 use super::live::ClosedRound;
+use super::resume::Resumed;
+use crate::result::Shape;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{
-    BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, Task, ToWorker, WorkerId,
-};
+use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, ToWorker, WorkerId};
 use gatherlight_render::export::ImageMetadata;
-use gatherlight_render::film::{ChannelSet, Film, LightImage, Tile, TileGrid};
+use gatherlight_render::film::{Film, LightImage, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
@@ -38,14 +38,20 @@ pub(crate) enum Input {
     Join(Hello, Reply<Joined>),
     Message(WorkerId, FromWorker),
     Left(WorkerId),
-    Offer(DeliverHeader, Reply<Option<Ticket>>),
+    Offer(DeliverHeader, Reply<Offered>),
+    /// The digest of a result whose lease's twin was faster.
+    Repeated(WorkerId, DeliverHeader, Digest),
     Refuse(Ticket, String),
     Complete(Box<Delivery>, Reply<bool>),
     Source(u64, Digest, Reply<Option<Source>>),
-    /// What was made of a phase of this round.
-    Built(JobId, u32, Result<Built, String>),
+    /// What was made of a phase.
+    Built(JobId, Phase, Result<Built, String>),
     Closed(JobId, Result<ClosedRound, String>),
     Assembled(JobId, Result<Image, String>),
+    /// A job that an earlier coordinator left is ready to go on.
+    Resumed(JobId, Result<Box<Resumed>, String>),
+    /// Room for so many bytes of blobs is wanted.
+    MakeRoom(u64, Reply<()>),
     Shutdown,
 }
 
@@ -72,6 +78,9 @@ pub enum SubmitError {
     /// The job has an error limit and nothing to know its error by.
     #[error("an error limit needs rounds to compare, and this job has none: method {0}")]
     ErrorLimit(&'static str),
+    /// The job could not be written down.
+    #[error("the coordinator's store cannot be written, so the job would not survive a restart: {0}")]
+    Store(String),
     /// The coordinator is shutting down.
     #[error("the coordinator is shutting down")]
     Closed,
@@ -110,18 +119,21 @@ pub struct Ticket {
     pub range: EmissionRange,
     /// Time the worker says it computed.
     pub busy: Duration,
-    /// What was to be done.
-    pub task: Task,
-    /// The phase it is part of.
-    pub phase: Phase,
-    /// How the image is cut.
-    pub grid: TileGrid,
-    /// What each pixel holds.
-    pub channels: ChannelSet,
-    /// Whether the photons carry directions.
-    pub directions: bool,
-    /// The job's light image, empty, where it has one.
-    pub light: Option<Arc<LightImage>>,
+    /// The phase it is part of, and its index within the job.
+    pub phase: (usize, Phase),
+    /// How the job's results look.
+    pub shape: Arc<Shape>,
+}
+
+/// What is to be done with a result that a worker offers.
+#[derive(Debug)]
+pub enum Offered {
+    /// It is wanted.
+    Wanted(Box<Ticket>),
+    /// The same indices were done by another worker meanwhile: only its digest is of interest.
+    Repeated(WorkerId),
+    /// The lease is no longer the worker's.
+    Stale,
 }
 
 /// A decoded result.
@@ -137,6 +149,16 @@ pub enum Payload {
     Tiles(Vec<Tile>, Option<LightImage>),
 }
 
+impl Payload {
+    /// Photons in it.
+    pub fn stored(&self) -> u64 {
+        match self {
+            Payload::Photons(batch) => batch.len() as u64,
+            _ => 0,
+        }
+    }
+}
+
 /// A result that arrived whole.
 #[derive(Debug)]
 pub struct Delivery {
@@ -144,8 +166,10 @@ pub struct Delivery {
     pub ticket: Ticket,
     /// What it holds.
     pub payload: Payload,
-    /// Its size on the wire.
-    pub bytes: u64,
+    /// As it was sent.
+    pub raw: Bytes,
+    /// Digest of that.
+    pub digest: Digest,
 }
 
 /// Where the bytes of a digest come from.
@@ -257,14 +281,22 @@ impl Handle {
         drop(self.inputs.send(Input::Left(worker)).await);
     }
     /// Whether this result is wanted. Asked before any of it is read.
-    pub async fn offer(&self, header: DeliverHeader) -> Option<Ticket> {
-        self.ask(|reply| Input::Offer(header, reply)).await.flatten()
+    pub async fn offer(&self, header: DeliverHeader) -> Offered {
+        self.ask(|reply| Input::Offer(header, reply)).await.unwrap_or(Offered::Stale)
+    }
+    /// The digest of a result whose lease's twin was faster.
+    pub async fn repeated(&self, worker: WorkerId, header: DeliverHeader, digest: Digest) {
+        drop(self.inputs.send(Input::Repeated(worker, header, digest)).await);
+    }
+    /// Collects old blobs where there is no room for `bytes` more.
+    pub async fn make_room(&self, bytes: u64) {
+        self.ask(|reply| Input::MakeRoom(bytes, reply)).await;
     }
     /// A result was damaged or senseless.
     pub async fn refuse(&self, ticket: Ticket, error: String) {
         drop(self.inputs.send(Input::Refuse(ticket, error)).await);
     }
-    /// Hands in a result; returns whether it counts.
+    /// Hands in a result; returns whether it counts, once it is safe.
     pub async fn complete(&self, delivery: Delivery) -> bool {
         self.ask(|reply| Input::Complete(Box::new(delivery), reply)).await.unwrap_or(false)
     }

@@ -1,22 +1,20 @@
 //! What the driver holds for one job.
 
-use super::Sink;
 use super::handle::NoImage;
 use super::live::Live;
-use crate::report::About;
 use crate::schedule::job::{Job, Stage, Step};
 use crate::schedule::work::Kind;
 use crate::schedule::{Outcome, Scheduler};
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limits, MapStats};
 use gatherlight_proto::message::{BlobRef, SceneManifest};
+use gatherlight_proto::stored::StoredJob;
 use gatherlight_render::export::ImageMetadata;
-use gatherlight_render::film::{ChannelSet, Film, TileGrid};
+use gatherlight_render::film::Film;
 use gatherlight_render::job::{Phase, PreparedJob};
-use gatherlight_render::photon::MapKind;
 use gatherlight_render::settings::RenderSettings;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use tokio::sync::watch;
 
 /// A job as it is handed in: its blobs are there and its scene is prepared.
@@ -31,8 +29,42 @@ pub struct Spec {
     pub settings: RenderSettings,
     /// When to end it early.
     pub limits: Limits,
+    /// Jobs of higher priority get workers first.
+    pub priority: i32,
+    /// Who submits it; empty: anybody.
+    pub owner: String,
     /// Its scene.
     pub prepared: Arc<PreparedJob>,
+}
+
+impl Spec {
+    /// Without a name, limits or an owner.
+    pub fn new(manifest: SceneManifest, settings: RenderSettings, prepared: Arc<PreparedJob>) -> Self {
+        let (name, owner, limits) = (String::new(), String::new(), Limits::default());
+        Spec { name, request_key: [0; 16], manifest, settings, limits, priority: 0, owner, prepared }
+    }
+    /// As it is kept.
+    pub(super) fn stored(&self) -> StoredJob {
+        StoredJob {
+            name: self.name.clone(),
+            request_key: self.request_key,
+            manifest: self.manifest.clone(),
+            settings: self.settings.clone(),
+            limits: self.limits,
+            priority: self.priority,
+            owner: self.owner.clone(),
+            submitted: since_1970(),
+            program: gatherlight_render::VERSION.to_owned(),
+            restarts: 0,
+            last: None,
+            image: None,
+        }
+    }
+}
+
+/// Time since 1970, by the clock on the wall: only it goes on while no coordinator runs.
+pub(super) fn since_1970() -> Duration {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
 }
 
 impl std::fmt::Debug for Spec {
@@ -44,21 +76,21 @@ impl std::fmt::Debug for Spec {
 /// One job, from submission until it is forgotten.
 pub(super) struct JobRecord {
     pub(super) id: JobId,
-    name: String,
-    pub(super) request_key: [u8; 16],
-    pub(super) manifest: SceneManifest,
-    pub(super) settings: RenderSettings,
-    pub(super) grid: TileGrid,
-    pub(super) channels: ChannelSet,
-    /// Maps whose photons carry directions.
-    pub(super) directions: BTreeSet<MapKind>,
+    /// As it is kept.
+    pub(super) stored: StoredJob,
     /// Until it ends.
     pub(super) live: Option<Live>,
     pub(super) stats: JobStats,
+    /// Of them, what is of closed rounds whose film is kept.
+    pub(super) kept_stats: JobStats,
+    /// What is of later rounds.
+    pub(super) later_stats: BTreeMap<u32, JobStats>,
+    /// Bytes of results noted since a film was kept.
+    pub(super) noted_bytes: u64,
     pub(super) image: Option<BlobRef>,
     pub(super) kept_film: Option<(Film, ImageMetadata)>,
-    /// What its image will say of how it was made.
-    pub(super) about: About,
+    /// Time since the submission and before this driver.
+    pub(super) age: Duration,
     submitted: Duration,
     state: JobState,
     round: u32,
@@ -66,45 +98,64 @@ pub(super) struct JobRecord {
     /// Tiles or splat units of all rounds.
     image_units: u64,
     state_since: Duration,
+    waits_for: String,
     progress: watch::Sender<JobProgress>,
 }
 
 impl JobRecord {
-    pub(super) fn new(id: JobId, spec: Spec, phases: &[Phase], sink: Option<Arc<dyn Sink>>, now: Duration) -> Self {
-        let live = Live::new(&spec, sink);
-        let Spec { name, request_key, manifest, settings, prepared, .. } = spec;
-        let (grid, channels) = (prepared.grid(), prepared.channels());
-        let prepared_rounds = prepared.rounds();
-        let image_units = phases.iter().filter(|p| p.makes_image()).map(Phase::units).sum();
-        let directions = MapKind::ALL.into_iter().filter(|&k| prepared.photon_directions(k)).collect();
-        let about = About::new(&prepared, phases);
-        let maps = map_stats(phases);
-        let stats = JobStats { maps, k: settings.k, gather_radius: settings.max_radius, ..JobStats::default() };
-        // Passes over the pixels are one phase to whoever watches.
-        let rounds = if settings.merges_rounds() { prepared_rounds } else { 1 };
-        let first = JobProgress { rounds, ..snapshot(id, &name, &stats) };
+    /// A job that was submitted `age` ago, or one that has ended.
+    pub(super) fn new(id: JobId, stored: StoredJob, age: Duration, now: Duration) -> Self {
+        let last = stored.last.clone();
+        let first = last.unwrap_or_else(|| snapshot(id, &stored, &JobStats::default()));
         JobRecord {
             id,
-            name,
-            request_key,
-            manifest,
-            settings,
-            grid,
-            channels,
-            directions,
-            live: Some(live),
-            stats,
-            image: None,
+            live: None,
+            stats: first.stats.clone(),
+            kept_stats: JobStats::default(),
+            later_stats: BTreeMap::new(),
+            noted_bytes: 0,
+            image: stored.image,
             kept_film: None,
-            about,
-            submitted: now,
-            state: JobState::Waiting,
-            round: 0,
-            rounds,
-            image_units,
+            age,
+            submitted: now.saturating_sub(age),
+            state: first.state.clone(),
+            round: first.round,
+            rounds: first.rounds,
+            image_units: 0,
             state_since: now,
+            waits_for: String::new(),
             progress: watch::Sender::new(first),
+            stored,
         }
+    }
+    /// The work begins, or goes on from `kept`, counts over closed rounds, and `later` ones.
+    pub(super) fn begin(&mut self, live: Live, rounds: u32, kept: JobStats, later: BTreeMap<u32, JobStats>) {
+        self.image_units = live.phases.iter().filter(|p| p.makes_image()).map(Phase::units).sum();
+        // Passes over the pixels are one phase to whoever watches.
+        self.rounds = if self.stored.settings.merges_rounds() { rounds } else { 1 };
+        self.stats = JobStats { restarts: self.stored.restarts, ..kept.clone() };
+        later.values().for_each(|part| self.stats.add(part));
+        let radii = live.about.gather_radii.values().copied();
+        self.stats.gather_radius = radii.reduce(f32::max).or(self.stats.gather_radius);
+        (self.kept_stats, self.later_stats, self.live) = (kept, later, Some(live));
+        let fresh = JobProgress { rounds: self.rounds, ..snapshot(self.id, &self.stored, &self.stats) };
+        self.progress.send_replace(fresh);
+    }
+    /// Counts a part of the work of a round.
+    pub(super) fn add_stats(&mut self, round: u32, part: &JobStats) {
+        self.stats.add(part);
+        self.later_stats.entry(round).or_default().add(part);
+    }
+    /// Counts over the rounds before `rounds`, whose film is kept from now on.
+    pub(super) fn keep_stats(&mut self, rounds: u32, job: &Job) -> &JobStats {
+        let later = self.later_stats.split_off(&rounds);
+        std::mem::replace(&mut self.later_stats, later).values().for_each(|part| self.kept_stats.add(part));
+        for m in &mut self.kept_stats.maps {
+            let total = job.closed_totals().get(&Kind::Emission(m.kind)).copied().unwrap_or_default();
+            (m.emitted_count, m.stored_count) = (total.units, total.stored);
+        }
+        self.kept_stats.gather_radius = self.stats.gather_radius;
+        &self.kept_stats
     }
     pub(super) fn watch(&self) -> watch::Receiver<JobProgress> {
         self.progress.subscribe()
@@ -118,9 +169,6 @@ impl JobRecord {
     pub(super) fn image(&self) -> Result<BlobRef, NoImage> {
         self.image.ok_or(NoImage::NotDone(self.state.name()))
     }
-    pub(super) fn map_stats(&mut self, kind: MapKind) -> Option<&mut MapStats> {
-        self.stats.maps.iter_mut().find(|m| m.kind == kind)
-    }
     /// The job has ended: only its snapshot and image stay.
     pub(super) fn finish(&mut self, now: Duration, outcome: Outcome) {
         self.count_broadcast();
@@ -130,7 +178,10 @@ impl JobRecord {
             Outcome::Failed(error) => JobState::Failed(error),
             Outcome::Cancelled => JobState::Cancelled,
         };
+        self.waits_for.clear();
         self.publish(now, state, (0, 0), 0);
+        self.stored.last = Some(self.progress());
+        self.stored.image = self.image;
     }
     /// Publishes a fresh snapshot of a running job.
     pub(super) fn refresh(&mut self, now: Duration, scheduler: &Scheduler) {
@@ -139,6 +190,7 @@ impl JobRecord {
         self.count(job);
         let holders: BTreeSet<_> = scheduler.leases().filter(|l| l.lease.job == self.id).map(|l| l.worker).collect();
         let (state, units) = self.visible_state(job, holders.len() as u64);
+        self.waits_for = if holders.is_empty() { scheduler.waits_for(job) } else { String::new() };
         self.publish(now, state, units, holders.len() as u32);
     }
     /// Takes over what the scheduler has counted.
@@ -149,6 +201,7 @@ impl JobRecord {
         }
         let done = job.done();
         self.stats.retried_leases = job.retried;
+        self.stats.disputes = job.disputes;
         (self.stats.workers, self.stats.workers_lost) = (job.workers, job.workers_lost);
         self.stats.rounds_done = done.rounds;
         self.stats.units_done = done.units;
@@ -193,7 +246,9 @@ impl JobRecord {
             }
             Some(s) => self.gathering(job, round, workers, done(s)),
             // A round is being closed.
-            None if self.about.has_units() => (JobState::Splat, self.image_done(job, Kind::Splat, (0, 0))),
+            None if self.live.as_ref().is_some_and(|l| l.about.has_units()) => {
+                (JobState::Splat, self.image_done(job, Kind::Splat, (0, 0)))
+            }
             None => (JobState::Gather, self.image_done(job, Kind::Gather, (0, 0))),
         }
     }
@@ -230,16 +285,17 @@ impl JobRecord {
             result_digest: self.image.map(|i| i.digest),
             round: self.round,
             rounds: self.rounds,
-            ..snapshot(self.id, &self.name, &self.stats)
+            waits_for: self.waits_for.clone(),
+            ..snapshot(self.id, &self.stored, &self.stats)
         };
         self.progress.send_replace(next);
     }
 }
 
-fn snapshot(id: JobId, name: &str, stats: &JobStats) -> JobProgress {
+fn snapshot(id: JobId, stored: &StoredJob, stats: &JobStats) -> JobProgress {
     JobProgress {
         id,
-        name: name.to_owned(),
+        name: stored.name.clone(),
         state: JobState::Waiting,
         done: 0,
         total: 0,
@@ -251,7 +307,14 @@ fn snapshot(id: JobId, name: &str, stats: &JobStats) -> JobProgress {
         result_digest: None,
         round: 0,
         rounds: 1,
+        priority: stored.priority,
+        waits_for: String::new(),
     }
+}
+
+/// Counts of a job of these phases before it begins.
+pub(super) fn first_stats(phases: &[Phase], settings: &RenderSettings) -> JobStats {
+    JobStats { maps: map_stats(phases), k: settings.k, gather_radius: settings.max_radius, ..JobStats::default() }
 }
 
 /// One entry a kind of map, over all rounds.

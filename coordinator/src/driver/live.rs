@@ -5,11 +5,13 @@ use super::handle::{Built, Made, Payload, Source};
 use super::job::Spec;
 use crate::assemble::Parts;
 use crate::reduce::LightSum;
+use crate::report::About;
+use crate::result::Shape;
 use crate::schedule::job::Done;
 use crate::types::JobStats;
 use bytes::Bytes;
-use gatherlight_proto::Digest;
 use gatherlight_proto::message::InputRef;
+use gatherlight_proto::{Digest, WireError};
 use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
@@ -49,6 +51,12 @@ struct LightParts {
 /// See the module.
 pub(super) struct Live {
     prepared: Arc<PreparedJob>,
+    /// Its phases, in order.
+    pub(super) phases: Arc<[Phase]>,
+    /// How its results look.
+    pub(super) shape: Arc<Shape>,
+    /// What its image will say of how it was made.
+    pub(super) about: About,
     /// Relative error at which the image is good enough.
     target: Option<f32>,
     /// Photons by round and map, from the first result to the building of the map.
@@ -57,8 +65,8 @@ pub(super) struct Live {
     luminances: BTreeMap<u64, Vec<f32>>,
     bootstrap: Option<Arc<Bootstrap>>,
     film: FilmState,
-    /// Results of the round after the one that is being closed.
-    early: Vec<(Vec<Tile>, Option<LightImage>)>,
+    /// Results of rounds after the one in the making, or while that is being closed.
+    early: BTreeMap<u32, Vec<(Vec<Tile>, Option<LightImage>)>>,
     light: Option<LightParts>,
     served: Vec<Served>,
     /// Bytes sent of what is not served any more.
@@ -68,18 +76,22 @@ pub(super) struct Live {
 }
 
 impl Live {
-    pub(super) fn new(spec: &Spec, sink: Option<Arc<dyn Sink>>) -> Self {
-        let prepared = spec.prepared.clone();
-        let light = prepared
-            .light_image()
-            .map(|empty| LightParts { sum: Arc::new(LightSum::new(empty.clone())), empty: Arc::new(empty) });
+    pub(super) fn new(spec: &Spec, phases: Vec<Phase>, sink: Option<Arc<dyn Sink>>) -> Self {
+        let (prepared, shape) = (spec.prepared.clone(), Shape::of(&spec.prepared));
+        let light = shape
+            .light
+            .as_ref()
+            .map(|empty| LightParts { sum: Arc::new(LightSum::new(LightImage::clone(empty))), empty: empty.clone() });
         Live {
+            about: About::new(&prepared, &phases),
+            phases: phases.into(),
+            shape: Arc::new(shape),
             target: spec.limits.error,
             mergers: BTreeMap::new(),
             luminances: BTreeMap::new(),
             bootstrap: None,
             film: FilmState::Empty,
-            early: Vec::new(),
+            early: BTreeMap::new(),
             light,
             served: Vec::new(),
             retired_bytes: 0,
@@ -87,10 +99,6 @@ impl Live {
             sink,
             prepared,
         }
-    }
-    /// The job's light image, empty, where it has one.
-    pub(super) fn empty_light(&self) -> Option<Arc<LightImage>> {
-        self.light.as_ref().map(|l| l.empty.clone())
     }
     /// The sum of its light images, where it has one.
     pub(super) fn light_sum(&self) -> Option<Arc<LightSum>> {
@@ -150,7 +158,7 @@ impl Live {
                 self.put_light(light)
             }
             _ => {
-                self.early.push((tiles, light));
+                self.early.entry(round).or_default().push((tiles, light));
                 Ok(())
             }
         }
@@ -162,18 +170,42 @@ impl Live {
     }
 
     /// What the round of `phase` is closed with, once all of its tiles or units are there: the film and what was splatted.
-    pub(super) fn take_round(&mut self, phase: Phase) -> Option<Round> {
+    /// Its film is kept as well, where `noted` bytes of results, which it would stand for, are worth it.
+    pub(super) fn take_round(&mut self, phase: Phase, noted: u64) -> Option<Round> {
         let FilmState::Here(film) = std::mem::replace(&mut self.film, FilmState::Closing) else { return None };
         let (prepared, bootstrap) = (self.prepared.clone(), self.bootstrap.clone());
-        Some(Round { phase, film, light: self.light.clone(), prepared, bootstrap, target: self.target })
+        let keeps = noted > film.bytes() as u64;
+        Some(Round { phase, film, light: self.light.clone(), prepared, bootstrap, target: self.target, keeps })
+    }
+    /// Takes back the film as it was kept; returns its noise and bias.
+    ///
+    /// # Errors
+    /// When it is damaged or of another job.
+    pub(super) fn restore(&mut self, film: &[u8]) -> Result<(Option<Noise>, Option<Bias>), WireError> {
+        let restored = gatherlight_proto::payload::film::decode(film, &self.prepared.accumulator())?;
+        let (noise, bias) = (restored.noise(), restored.bias());
+        self.film = FilmState::Here(Box::new(restored));
+        Ok((noise, bias))
+    }
+    /// Phases before round `round` whose inputs it and later ones read: the bootstrap, and maps where no more are made.
+    pub(super) fn kept_inputs(&self, round: u32) -> Vec<usize> {
+        let is_emission = |p: &Phase| matches!(p, Phase::Emission { .. });
+        let before = self.phases.iter().take_while(|p| p.round() < round).enumerate();
+        let makes_own = self.phases.iter().any(|p| p.round() == round && is_emission(p));
+        let latest = before.clone().filter(|(_, p)| is_emission(p)).map(|(_, p)| p.round()).max();
+        let reads = |p: &Phase| match p {
+            Phase::Bootstrap { .. } => true,
+            Phase::Emission { round, .. } => !makes_own && Some(*round) == latest,
+            _ => false,
+        };
+        before.filter(|(_, p)| reads(p)).map(|(i, _)| i).collect()
     }
     /// Takes back the film of a closed round, and adds what came meanwhile of the next.
     pub(super) fn closed(&mut self, film: Box<Accumulator>) -> Result<(), String> {
         let round = film.closed_rounds();
         self.film = FilmState::Here(film);
-        std::mem::take(&mut self.early)
-            .into_iter()
-            .try_for_each(|(tiles, light)| self.add_to_round(round, tiles, light))
+        let early = self.early.remove(&round).unwrap_or_default();
+        early.into_iter().try_for_each(|(tiles, light)| self.add_to_round(round, tiles, light))
     }
 
     /// What the map of a round is built from.
@@ -239,6 +271,7 @@ pub(super) struct Round {
     prepared: Arc<PreparedJob>,
     bootstrap: Option<Arc<Bootstrap>>,
     target: Option<f32>,
+    keeps: bool,
 }
 
 impl Round {
@@ -247,7 +280,7 @@ impl Round {
     /// # Errors
     /// When tiles are missing, or a light image is of another job.
     pub(super) fn close(self) -> Result<ClosedRound, String> {
-        let Round { phase, mut film, light, prepared, bootstrap, target } = self;
+        let Round { phase, mut film, light, prepared, bootstrap, target, keeps } = self;
         let (round, tiles) = (phase.round(), matches!(phase, Phase::Gather { .. }));
         if film.closed_rounds() != round || (tiles && !film.is_round_complete()) {
             return Err(format!("tiles are missing from round {round}"));
@@ -261,7 +294,9 @@ impl Round {
             film.closed_rounds() >= LEAST_ROUNDS && noise.is_some() && (bias.is_some() || !film.is_blurred());
         let error = noise.map(|n| n.relative.hypot(bias.map_or(0.0, |b| b.relative)));
         let is_good_enough = is_known && error.zip(target).is_some_and(|(error, target)| error <= f64::from(target));
-        Ok(ClosedRound { round, is_good_enough, noise, bias, film })
+        // One that cannot be kept costs time after a restart, nothing else.
+        let kept = if keeps { gatherlight_proto::payload::film::encode(&film).ok() } else { None };
+        Ok(ClosedRound { round, is_good_enough, noise, bias, film, kept })
     }
 }
 
@@ -276,6 +311,8 @@ pub(crate) struct ClosedRound {
     pub(super) noise: Option<Noise>,
     pub(super) bias: Option<Bias>,
     pub(super) film: Box<Accumulator>,
+    /// The film as it is to be kept.
+    pub(super) kept: Option<Vec<u8>>,
 }
 
 fn count_light(light: &LightImage, stats: &mut JobStats) {
@@ -338,8 +375,7 @@ mod tests {
         let settings =
             RenderSettings { method: Method::Progressive, width: 32, height: 16, rounds, ..RenderSettings::default() };
         let prepared = Arc::new(PreparedJob::prepare(&bundle, &settings).unwrap_or_else(|e| panic!("{e}")));
-        let (name, request_key, limits) = (String::new(), [0; 16], Default::default());
-        Spec { name, request_key, manifest: manifest::pack(&bundle).0, settings, limits, prepared }
+        Spec::new(manifest::pack(&bundle).0, settings, prepared)
     }
 
     fn empty_map() -> PhotonMap {
@@ -355,7 +391,7 @@ mod tests {
     fn what_is_held_does_not_grow_with_the_rounds() {
         let (rounds, offers) = (50, Arc::new(Offers::default()));
         let spec = spec(rounds);
-        let mut live = Live::new(&spec, Some(offers.clone()));
+        let mut live = Live::new(&spec, spec.prepared.phases(), Some(offers.clone()));
         let (grid, channels, mut stats) = (spec.prepared.grid(), spec.prepared.channels(), JobStats::default());
         for round in 0..rounds {
             let (merger, _) = live.take_photons(round, MapKind::Global, 0);
@@ -377,7 +413,7 @@ mod tests {
                 live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
             }
             let closed =
-                live.take_round(Phase::Gather { round, tiles: grid.len() }).expect("is there").close().unwrap();
+                live.take_round(Phase::Gather { round, tiles: grid.len() }, 0).expect("is there").close().unwrap();
             live.closed(closed.film).unwrap();
             // As the scheduler has it: the next round's map is there before this round is over.
             if round > 0 {

@@ -5,11 +5,13 @@
 
 mod handle;
 mod job;
+mod keep;
 mod live;
+mod resume;
 mod sessions;
 mod steps;
 
-pub use handle::{Delivery, Handle, Joined, NoImage, Payload, Source, SubmitError, Ticket};
+pub use handle::{Delivery, Handle, Joined, NoImage, Offered, Payload, Source, SubmitError, Ticket};
 pub use job::Spec;
 
 pub(crate) use handle::{Built, Image, Made};
@@ -17,15 +19,17 @@ pub(crate) use handle::{Built, Image, Made};
 use crate::compute::Compute;
 use crate::random::random_u64;
 use crate::schedule::job::closes_rounds;
-use crate::schedule::{Command, Event, Policy, Scheduler};
+use crate::schedule::{Command, Event, Outcome, Policy, Saved, Scheduler, Terms};
 use crate::store::Store;
-use crate::types::JobId;
+use crate::store::journal::{Change, SavedResult};
+use crate::types::{JobId, JobStats};
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{FromWorker, Task, ToWorker, WorkerId};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, ToWorker, WorkerId};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PhotonMap};
-use handle::Input;
-use job::JobRecord;
+use handle::{Input, Reply};
+use job::{JobRecord, first_stats};
+use live::Live;
 use sessions::Sessions;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -74,6 +78,16 @@ pub struct DriverConfig {
     pub sink: Option<Arc<dyn Sink>>,
 }
 
+/// What a job begins with.
+struct Parts {
+    /// Its heavy parts, where they are there.
+    live: Option<Live>,
+    saved: Saved,
+    /// Counts over closed rounds, and by later round.
+    kept: JobStats,
+    later: BTreeMap<u32, JobStats>,
+}
+
 /// The loop's state.
 pub struct Driver {
     config: DriverConfig,
@@ -87,13 +101,17 @@ pub struct Driver {
     /// To itself, for compute threads; weak, so that the driver ends with its last user.
     own: mpsc::WeakSender<Input>,
     origin: Instant,
+    /// Age of the oldest job that an earlier driver left: time here began before the driver.
+    before: Duration,
+    /// When old blobs were last collected.
+    collected: Duration,
 }
 
 impl Driver {
-    /// Starts a driver on the current tokio runtime.
+    /// Starts a driver on the current tokio runtime. Jobs that an earlier one left in the store go on.
     pub fn start(config: DriverConfig, compute: Compute, store: Arc<Store>) -> Handle {
         let (handle, inputs) = Handle::channel();
-        let driver = Driver {
+        let mut driver = Driver {
             scheduler: Scheduler::new(config.policy.clone()),
             sessions: Sessions::new(config.heartbeat),
             config,
@@ -103,7 +121,10 @@ impl Driver {
             store,
             own: handle.downgrade(),
             origin: Instant::now(),
+            before: Duration::ZERO,
+            collected: Duration::ZERO,
         };
+        driver.take_over();
         tokio::spawn(driver.run(inputs));
         handle
     }
@@ -119,6 +140,7 @@ impl Driver {
                 },
                 _ = ticks.tick() => {
                     self.event(Event::Tick);
+                    self.collect_now_and_then();
                     self.refresh_all();
                 }
             }
@@ -126,14 +148,14 @@ impl Driver {
     }
 
     fn now(&self) -> Duration {
-        self.origin.elapsed()
+        self.before + self.origin.elapsed()
     }
 
     fn take(&mut self, input: Input) {
         match input {
-            Input::Submit(spec, reply) => drop(reply.send(self.submit(*spec))),
+            Input::Submit(spec, reply) => self.submit(*spec, reply),
             Input::Find(key, reply) => {
-                let found = self.jobs.values().find(|j| j.request_key == key).map(|j| j.id);
+                let found = self.jobs.values().find(|j| j.stored.request_key == key).map(|j| j.id);
                 let _ = reply.send(found);
             }
             Input::List(reply) => {
@@ -142,7 +164,7 @@ impl Driver {
             }
             Input::Watch(id, reply) => drop(reply.send(self.jobs.get(&id).map(JobRecord::watch))),
             Input::Cancel(id, reply) => {
-                self.event(Event::Cancelled { job: id });
+                self.cancel(id);
                 drop(reply.send(self.jobs.get(&id).map(JobRecord::progress)));
             }
             Input::Image(id, reply) => {
@@ -151,10 +173,10 @@ impl Driver {
             Input::Film(id, reply) => drop(reply.send(self.jobs.get_mut(&id).and_then(|j| j.kept_film.take()))),
             Input::Workers(reply) => drop(reply.send(self.sessions.list(self.now(), &self.scheduler))),
             Input::Join(hello, reply) => {
-                let threads = hello.threads;
+                let (threads, memory_bytes) = (hello.threads, hello.memory_bytes);
                 let joined = self.sessions.open(hello);
                 let worker = joined.worker;
-                self.event(Event::Joined { worker, threads });
+                self.event(Event::Joined { worker, threads, memory_bytes });
                 if reply.send(joined).is_err() {
                     self.event(Event::Lost { worker });
                 }
@@ -163,32 +185,67 @@ impl Driver {
             Input::Left(worker) => self.left(worker),
             Input::Offer(header, reply) => {
                 let worker = self.sessions.worker(header.session);
-                drop(reply.send(worker.and_then(|w| self.ticket(w, &header))));
+                drop(reply.send(worker.map_or(Offered::Stale, |w| self.offered(w, &header))));
+            }
+            Input::Repeated(worker, DeliverHeader { lease, attempt, .. }, digest) => {
+                self.event(Event::Repeated { worker, lease, attempt, digest });
             }
             Input::Refuse(ticket, error) => self.refuse(&ticket, error),
-            Input::Complete(delivery, reply) => drop(reply.send(self.complete(*delivery))),
+            Input::Complete(delivery, reply) => self.complete(*delivery, reply),
             Input::Source(session, digest, reply) => {
                 let known = self.sessions.worker(session).is_some();
                 drop(reply.send(known.then(|| self.source(digest)).flatten()));
             }
-            Input::Built(id, round, built) => self.built(id, round, built),
+            Input::Built(id, phase, built) => self.built(id, phase, built),
             Input::Closed(id, closed) => self.closed(id, closed),
             Input::Assembled(id, image) => self.assembled(id, image),
+            Input::Resumed(id, resumed) => self.resumed(id, resumed),
+            Input::MakeRoom(bytes, reply) => self.make_room(bytes, reply),
             // The loop has ended before it gets here.
             Input::Shutdown => {}
         }
     }
 
-    fn submit(&mut self, spec: Spec) -> Result<JobId, SubmitError> {
-        if let Some(job) = self.jobs.values().find(|j| j.request_key == spec.request_key) {
-            return Ok(job.id);
+    /// Starts a job; `reply` hears of it once it would survive this process.
+    fn submit(&mut self, spec: Spec, reply: Reply<Result<JobId, SubmitError>>) {
+        if let Some(job) = self.jobs.values().find(|j| j.stored.request_key == spec.request_key) {
+            return drop(reply.send(Ok(job.id)));
         }
         let phases = spec.prepared.phases();
-        if spec.limits.time.is_some() && !closes_rounds(&phases) {
-            return Err(SubmitError::TimeLimit(spec.settings.method.name()));
+        if let Err(error) = self.may_start(&spec, &phases) {
+            return drop(reply.send(Err(error)));
         }
-        if spec.limits.error.is_some() && !closes_rounds(&phases) {
-            return Err(SubmitError::ErrorLimit(spec.settings.method.name()));
+        let mut id = JobId(random_u64());
+        while self.jobs.contains_key(&id) {
+            id = JobId(random_u64());
+        }
+        tracing::info!(job = %id, name = spec.name, phases = phases.len(), "submitted");
+        let stored = spec.stored();
+        let record = stored.encode();
+        let first = first_stats(&phases, &spec.settings);
+        self.jobs.insert(id, JobRecord::new(id, stored, Duration::ZERO, self.now()));
+        self.order.push(id);
+        self.begin(id, spec, Parts { live: None, saved: Saved::default(), kept: first, later: BTreeMap::new() });
+        self.forget_old_jobs();
+        let own = self.own.clone();
+        self.note_then(id, Change::Job(record), move |noted| match noted {
+            Ok(()) => drop(reply.send(Ok(id))),
+            Err(error) => {
+                drop(reply.send(Err(SubmitError::Store(error.clone()))));
+                if let Some(handle) = Handle::upgrade(&own) {
+                    handle.report(Input::Assembled(id, Err(error)));
+                }
+            }
+        });
+    }
+
+    fn may_start(&self, spec: &Spec, phases: &[Phase]) -> Result<(), SubmitError> {
+        let method = spec.settings.method.name();
+        if spec.limits.time.is_some() && !closes_rounds(phases) {
+            return Err(SubmitError::TimeLimit(method));
+        }
+        if spec.limits.error.is_some() && !closes_rounds(phases) {
+            return Err(SubmitError::ErrorLimit(method));
         }
         let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);
         if needed > limit {
@@ -198,17 +255,42 @@ impl Driver {
         if live >= self.config.max_live_jobs {
             return Err(SubmitError::Full(live));
         }
-        let mut id = JobId(random_u64());
-        while self.jobs.contains_key(&id) {
-            id = JobId(random_u64());
+        Ok(())
+    }
+
+    /// Begins the work of a job that is listed already, or goes on with it.
+    fn begin(&mut self, id: JobId, spec: Spec, parts: Parts) {
+        let phases = spec.prepared.phases();
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Parts { live, saved, kept, later } = parts;
+        let live = live.unwrap_or_else(|| Live::new(&spec, phases.clone(), self.config.sink.clone()));
+        job.begin(live, spec.prepared.rounds(), kept, later);
+        let terms = Terms {
+            limits: spec.limits,
+            priority: spec.priority,
+            worker_bytes: spec.prepared.plan().worker_bytes,
+            age: job.age,
+            saved,
+        };
+        self.event(Event::Submitted { job: id, phases, terms: Box::new(terms) });
+        self.refresh(id);
+    }
+
+    fn cancel(&mut self, id: JobId) {
+        self.event(Event::Cancelled { job: id });
+        // One that has not come back from the store is none of the scheduler's.
+        if self.jobs.get(&id).is_some_and(|j| !j.is_final()) {
+            self.finish(id, Outcome::Cancelled);
         }
-        tracing::info!(job = %id, name = spec.name, phases = phases.len(), "submitted");
-        let limits = spec.limits;
-        self.jobs.insert(id, JobRecord::new(id, spec, &phases, self.config.sink.clone(), self.now()));
-        self.order.push(id);
-        self.event(Event::Submitted { job: id, phases, limits });
-        self.forget_old_jobs();
-        Ok(id)
+    }
+
+    fn finish(&mut self, id: JobId, outcome: Outcome) {
+        tracing::info!(job = %id, ?outcome, "ended");
+        let now = self.now();
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        job.finish(now, outcome);
+        let record = job.stored.encode();
+        self.note(id, Change::Ended(record));
     }
 
     fn forget_old_jobs(&mut self) {
@@ -217,6 +299,7 @@ impl Driver {
         let old: Vec<JobId> = self.order.iter().filter(|id| ended(id)).take(excess).copied().collect();
         self.order.retain(|id| !old.contains(id));
         self.jobs.retain(|id, _| !old.contains(id));
+        old.into_iter().for_each(|id| self.note(id, Change::Forgotten));
     }
 
     fn message(&mut self, worker: WorkerId, message: FromWorker) {
@@ -239,30 +322,28 @@ impl Driver {
         }
     }
 
-    fn ticket(&self, worker: WorkerId, header: &gatherlight_proto::message::DeliverHeader) -> Option<Ticket> {
+    /// What is to be done with a result that `worker` offers.
+    fn offered(&self, worker: WorkerId, header: &DeliverHeader) -> Offered {
+        if self.scheduler.settled(worker, header.lease, header.attempt).is_some() {
+            return Offered::Repeated(worker);
+        }
+        self.ticket(worker, header).map_or(Offered::Stale, |ticket| Offered::Wanted(Box::new(ticket)))
+    }
+
+    fn ticket(&self, worker: WorkerId, header: &DeliverHeader) -> Option<Ticket> {
         let open = self.scheduler.lease(header.lease)?;
         if !self.scheduler.is_open(worker, header.lease, header.attempt) {
             return None;
         }
-        let job = self.jobs.get(&open.lease.job)?;
+        let (job, phase) = (open.lease.job, open.phase);
         Some(Ticket {
             worker,
             lease: header.lease,
             attempt: header.attempt,
             range: header.range,
             busy: header.busy,
-            task: open.lease.task.clone(),
-            phase: self.scheduler.job(open.lease.job)?.work(open.phase)?.phase,
-            grid: job.grid,
-            channels: job.channels.clone(),
-            directions: match open.lease.task {
-                Task::Emission { map, .. } => job.directions.contains(&map),
-                _ => false,
-            },
-            light: match open.lease.task {
-                Task::Gather { .. } | Task::Splat { .. } => job.live.as_ref()?.empty_light(),
-                _ => None,
-            },
+            phase: (phase, self.scheduler.job(job)?.work(phase)?.phase),
+            shape: self.jobs.get(&job)?.live.as_ref()?.shape.clone(),
         })
     }
 
@@ -272,46 +353,44 @@ impl Driver {
         self.event(Event::TaskFailed { worker, lease, attempt, error: format!("result refused: {error}") });
     }
 
-    /// Offers a result to the scheduler and, where it counts, puts it to use.
-    fn complete(&mut self, delivery: Delivery) -> bool {
-        let Delivery { ticket, payload, bytes } = delivery;
-        let Ticket { worker, lease, attempt, range, busy, phase, .. } = ticket;
-        let stored = match &payload {
-            Payload::Photons(batch) => batch.len() as u64,
-            _ => 0,
-        };
-        let completed = Event::Completed { worker, lease, attempt, range, busy, stored };
+    /// Offers a result to the scheduler and, where it counts, puts it to use. `reply` hears that it counts once it is safe.
+    fn complete(&mut self, delivery: Delivery, reply: Reply<bool>) {
+        let Delivery { ticket, payload, raw, digest } = delivery;
+        let Ticket { worker, lease, attempt, range, busy, phase: (index, phase), .. } = ticket;
+        let stored = payload.stored();
+        let completed = Event::Completed { worker, lease, attempt, range, busy, stored, digest };
         let commands = self.scheduler.handle(self.now(), completed);
         let accepted = commands.iter().find_map(|c| match c {
             Command::Accept { job, lease: l } if *l == lease => Some(*job),
             _ => None,
         });
-        let used = accepted.map(|job| (job, self.put_to_use(job, phase, payload, busy, bytes)));
+        let result = SavedResult { phase: index, range, busy, payload: raw };
+        let used = accepted.map(|job| (job, self.put_to_use(job, phase, payload, &result)));
         self.carry_out(commands);
         match used {
-            Some((job, Err(error))) => self.event(Event::StepFailed { job, error }),
+            Some((job, Err(error))) => {
+                self.event(Event::StepFailed { job, error });
+                let _ = reply.send(true);
+            }
             Some((job, Ok(()))) => {
                 self.add_light(job);
                 self.refresh(job);
+                self.note_result(job, result, reply);
             }
-            None => tracing::debug!(worker = worker.0, lease = lease.0, "stale result discarded"),
+            None => {
+                tracing::debug!(worker = worker.0, lease = lease.0, "stale result discarded");
+                let _ = reply.send(false);
+            }
         }
-        accepted.is_some()
     }
 
-    fn put_to_use(
-        &mut self,
-        id: JobId,
-        phase: Phase,
-        payload: Payload,
-        busy: Duration,
-        bytes: u64,
-    ) -> Result<(), String> {
+    fn put_to_use(&mut self, id: JobId, phase: Phase, payload: Payload, result: &SavedResult) -> Result<(), String> {
         let job = self.jobs.get_mut(&id).ok_or("the job is gone")?;
-        job.stats.busy += busy;
-        job.stats.result_bytes += bytes;
+        let mut part = JobStats { busy: result.busy, result_bytes: result.payload.len() as u64, ..JobStats::default() };
         let live = job.live.as_mut().ok_or("the job has ended")?;
-        live.put_to_use(payload, phase, &mut job.stats)
+        let used = live.put_to_use(payload, phase, &mut part);
+        job.add_stats(phase.round(), &part);
+        used
     }
 
     fn event(&mut self, event: Event) {
@@ -324,7 +403,7 @@ impl Driver {
             match command {
                 Command::Prepare { worker, job } => {
                     if let Some(j) = self.jobs.get(&job) {
-                        let (scene, settings) = (j.manifest.clone(), Box::new(j.settings.clone()));
+                        let (scene, settings) = (j.stored.manifest.clone(), Box::new(j.stored.settings.clone()));
                         self.send(worker, ToWorker::Prepare { job, scene, settings });
                     }
                 }
@@ -335,12 +414,13 @@ impl Driver {
                 Command::Build { job, phase } => self.build(job, phase),
                 Command::Retire { job, round } => self.retire(job, round),
                 Command::Assemble { job, done } => self.assemble(job, done),
-                Command::Finish { job, outcome } => {
-                    tracing::info!(%job, ?outcome, "ended");
-                    let now = self.now();
-                    if let Some(j) = self.jobs.get_mut(&job) {
-                        j.finish(now, outcome);
-                    }
+                Command::Finish { job, outcome } => self.finish(job, outcome),
+                Command::Dispute { job, phase, range, workers } => {
+                    let names = workers.map(|w| self.sessions.name(w));
+                    tracing::error!(
+                        %job, phase, first = range.first, end = range.end, ?names,
+                        "two workers computed different bits for the same indices: one of them has bad hardware"
+                    );
                 }
                 Command::Dismiss { worker, reason } => {
                     tracing::warn!(worker = worker.0, reason, "dismissed");

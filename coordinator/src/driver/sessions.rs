@@ -59,6 +59,10 @@ impl Sessions {
     pub(super) fn worker(&self, secret: u64) -> Option<WorkerId> {
         self.by_secret.get(&secret).copied()
     }
+    /// The name a worker gave itself.
+    pub(super) fn name(&self, worker: WorkerId) -> String {
+        self.by_worker.get(&worker).map_or_else(|| format!("worker {}", worker.0), |s| s.hello.name.clone())
+    }
     /// For listings.
     pub(super) fn list(&self, now: Duration, scheduler: &Scheduler) -> Vec<WorkerInfo> {
         let limit = scheduler.policy().set_aside_after;

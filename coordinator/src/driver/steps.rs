@@ -4,6 +4,7 @@
 use super::Driver;
 use super::handle::{Built, Handle, Image, Input, Made, Source};
 use super::live::ClosedRound;
+use super::resume::map_bytes;
 use crate::compute::Panicked;
 use crate::schedule::Event;
 use crate::schedule::job::Done;
@@ -17,9 +18,11 @@ use tokio::sync::mpsc;
 impl Driver {
     /// Joins the results of an emission or bootstrap phase, or closes the round of a gather or splat.
     pub(super) fn build(&mut self, id: JobId, phase: Phase) {
-        let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let noted = if self.store.journal().is_some() { job.noted_bytes } else { 0 };
+        let Some(live) = job.live.as_mut() else { return };
         let (own, sink) = (self.own.clone(), live.sink());
-        let built = move |result| report(&own, Input::Built(id, phase.round(), flat(result)));
+        let built = move |result| report(&own, Input::Built(id, phase, flat(result)));
         match phase {
             Phase::Emission { round, map, paths } => {
                 let (merger, prepared) = live.take_photons(round, map, paths);
@@ -30,7 +33,7 @@ impl Driver {
                 self.compute.spawn(move || merge::build_bootstrap(paths, luminances, sink.as_deref()), built);
             }
             Phase::Gather { .. } | Phase::Splat { .. } => {
-                let Some(round) = live.take_round(phase) else { return };
+                let Some(round) = live.take_round(phase, noted) else { return };
                 let own = self.own.clone();
                 let closed = move |result| report(&own, Input::Closed(id, flat(result)));
                 self.compute.spawn(move || round.close(), closed);
@@ -39,23 +42,25 @@ impl Driver {
         self.refresh(id);
     }
 
-    /// Serves what was made of a phase of `round`.
-    pub(super) fn built(&mut self, id: JobId, round: u32, built: Result<Built, String>) {
+    /// Serves what was made of a phase.
+    pub(super) fn built(&mut self, id: JobId, phase: Phase, built: Result<Built, String>) {
         let built = match built {
             Ok(built) => built,
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         };
+        let (input, round) = (built.input, phase.round());
+        let gather_radius = if let Made::Map { gather_radius } = built.made { gather_radius } else { 0.0 };
+        self.note_input(id, phase, gather_radius, built.bytes.clone());
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let input = built.input;
-        if let (InputRef::Map(map), Made::Map { gather_radius }) = (input, &built.made) {
-            let radius = job.about.gather_radii.entry(map.kind).or_insert(0.0);
-            *radius = radius.max(*gather_radius);
-            job.stats.gather_radius = job.about.gather_radii.values().copied().reduce(f32::max);
-            if let Some(stats) = job.map_stats(map.kind) {
-                stats.bytes += map.bytes;
-            }
+        if let InputRef::Map(map) = input {
+            job.add_stats(round, &map_bytes(map));
         }
         let Some(live) = job.live.as_mut() else { return };
+        if let InputRef::Map(map) = input {
+            let radius = live.about.gather_radii.entry(map.kind).or_insert(0.0);
+            *radius = radius.max(gather_radius);
+            job.stats.gather_radius = live.about.gather_radii.values().copied().reduce(f32::max);
+        }
         live.serve(round, built);
         tracing::info!(job = %id, round, ?input, "built");
         self.event(Event::Built { job: id, round, input });
@@ -68,10 +73,15 @@ impl Driver {
         let Some(live) = job.live.as_mut() else { return };
         let result = closed.and_then(|c| {
             (job.stats.noise, job.stats.bias) = (c.noise, c.bias);
-            live.closed(c.film).map(|()| (c.round, c.is_good_enough))
+            live.closed(c.film).map(|()| (c.round, c.is_good_enough, c.kept))
         });
         match result {
-            Ok((round, is_good_enough)) => self.event(Event::Closed { job: id, round, is_good_enough }),
+            Ok((round, is_good_enough, kept)) => {
+                self.event(Event::Closed { job: id, round, is_good_enough });
+                if let Some(film) = kept {
+                    self.note_rounds(id, film);
+                }
+            }
             Err(error) => self.event(Event::StepFailed { job: id, error }),
         }
         self.refresh(id);
@@ -103,7 +113,7 @@ impl Driver {
         }
         let Some(live) = job.live.as_mut() else { return };
         let parts = live.parts(done);
-        let metadata = job.about.metadata(&job.settings, &job.stats);
+        let metadata = live.about.metadata(&job.stored.settings, &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
         self.compute.spawn(
             move || assemble::finish(parts, &metadata, keep, &store),
@@ -130,13 +140,13 @@ impl Driver {
 }
 
 /// From a compute thread to the driver, if it is still there.
-fn report(own: &mpsc::WeakSender<Input>, input: Input) {
+pub(super) fn report(own: &mpsc::WeakSender<Input>, input: Input) {
     if let Some(handle) = Handle::upgrade(own) {
         handle.report(input);
     }
 }
 
 /// A panic is a failure like others.
-fn flat<T>(result: Result<Result<T, String>, Panicked>) -> Result<T, String> {
+pub(super) fn flat<T>(result: Result<Result<T, String>, Panicked>) -> Result<T, String> {
     result.unwrap_or_else(|panic| Err(panic.to_string()))
 }

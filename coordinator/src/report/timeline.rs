@@ -145,6 +145,8 @@ mod tests {
             workers: 3,
             stats,
             result_digest: None,
+            priority: 0,
+            waits_for: String::new(),
         }
     }
 

@@ -1,11 +1,13 @@
 //! Handing out leases.
 
+use super::job::Job;
 use super::policy::Situation;
-use super::work::{Kind, Retry, Work};
+use super::work::{History, Kind, Retry, Work};
 use super::{Command, OpenLease, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
+use gatherlight_render::photon::EmissionRange;
 
 /// SplitMix64's output function: a seed and a counter to 64 well-mixed bits (Steele, Lea and Flood 2014).
 fn mix(seed: u64, counter: u64) -> u64 {
@@ -16,41 +18,58 @@ fn mix(seed: u64, counter: u64) -> u64 {
 }
 
 impl Scheduler {
-    /// Gives every worker with room its next leases: first one each, then the second ones.
+    /// Gives every worker with room its next leases: first one each, then the second ones. Who would have none repeats old ones.
     pub(super) fn assign_all(&mut self, now: Duration, out: &mut Vec<Command>) {
-        if self.jobs.values().all(|j| j.open_phases().next().is_none()) {
+        let has_work = self.jobs.values().any(|j| j.open_phases().next().is_some());
+        let mut old = self.twin_candidates(now);
+        if !has_work && old.is_empty() {
             return;
         }
         for held in 0..self.policy.leases_per_worker {
             let ready = self.workers.iter().filter(|(_, w)| !w.draining && w.leases.len() == held);
             let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
             for worker in ready {
-                self.assign(now, worker, out);
+                let assigned = has_work && self.assign(now, worker, out);
+                if !assigned && held == 0 && !old.is_empty() {
+                    self.assign_twin(now, worker, &mut old, out);
+                }
             }
         }
     }
 
-    /// Gives `worker` one lease, of the first job in turn that has one for it.
-    fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) {
-        for position in 0..self.turn.len() {
-            let Some(&job) = self.turn.get(position) else { return };
-            let Some((phase, retry)) = self.next_task(job, worker) else { continue };
+    /// Gives `worker` one lease, of the first job in turn that has one for it, among those of the highest priority.
+    fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) -> bool {
+        let mut order: Vec<JobId> = self.turn.iter().copied().collect();
+        order.sort_by_key(|job| core::cmp::Reverse(self.jobs.get(job).map_or(0, |j| j.priority)));
+        for job in order {
+            let Some((phase, Retry { range, history, .. })) = self.next_task(job, worker) else { continue };
             // To the back: among several jobs, each gets one lease in turn.
-            self.turn.remove(position);
+            self.turn.retain(|&j| j != job);
             self.turn.push_back(job);
-            if self.workers.get_mut(&worker).is_some_and(|w| w.prepared.insert(job)) {
-                self.jobs.entry(job).and_modify(|j| j.workers += 1);
-                out.push(Command::Prepare { worker, job });
-            }
-            self.open(now, worker, job, phase, retry, out);
-            return;
+            self.prepare(worker, job, out);
+            self.open(now, worker, (job, phase), range, history, out);
+            return true;
         }
+        false
+    }
+
+    /// Announces `job` to `worker`, if that is new to it.
+    pub(super) fn prepare(&mut self, worker: WorkerId, job: JobId, out: &mut Vec<Command>) {
+        if self.workers.get_mut(&worker).is_some_and(|w| w.prepared.insert(job)) {
+            self.jobs.entry(job).and_modify(|j| j.workers += 1);
+            out.push(Command::Prepare { worker, job });
+        }
+    }
+
+    /// Whether `worker` may have leases of `job`: it has the memory, and has not failed too often.
+    pub(super) fn may_work(&self, worker: WorkerId, job: &Job) -> bool {
+        let Some(w) = self.workers.get(&worker) else { return false };
+        w.memory_bytes >= job.worker_bytes && !w.is_set_aside(job.id, self.policy.set_aside_after)
     }
 
     /// The next indices of `job` for `worker`: phase and task.
     fn next_task(&mut self, job: JobId, worker: WorkerId) -> Option<(usize, Retry)> {
-        let w = self.workers.get(&worker)?;
-        if w.is_set_aside(job, self.policy.set_aside_after) {
+        if !self.may_work(worker, self.jobs.get(&job)?) {
             return None;
         }
         let phases: Vec<usize> = self.jobs.get(&job)?.open_phases().collect();
@@ -96,32 +115,29 @@ impl Scheduler {
         Some(Situation { threads: w.threads, rate, share: share.clamp(1e-6, 1.0), remaining, stored_per_unit })
     }
 
-    /// Opens a lease and sends it.
-    fn open(
+    /// Opens a lease of indices of a phase and sends it.
+    pub(super) fn open(
         &mut self,
         now: Duration,
         worker: WorkerId,
-        job: JobId,
-        phase: usize,
-        retry: Retry,
+        (job, phase): (JobId, usize),
+        range: EmissionRange,
+        mut history: History,
         out: &mut Vec<Command>,
-    ) {
-        let Retry { range, mut history, .. } = retry;
+    ) -> Option<LeaseId> {
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);
-        let Some((task, phase_of)) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase)))
-        else {
-            return;
-        };
+        let (task, phase_of) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase)))?;
         let lease = Lease { id, attempt: history.attempts, job, range, task };
-        let Some(w) = self.workers.get_mut(&worker) else { return };
+        let w = self.workers.get_mut(&worker)?;
         w.leases.insert(id);
         // The lease may wait behind the others the worker holds.
         let rate = w.rate((job, Kind::of(phase_of)));
         let time = self.policy.lease_time(phase_of, range.len(), rate, history.attempts);
         let deadline = now + time * w.leases.len() as u32;
         out.push(Command::Assign { worker, lease: lease.clone() });
-        self.leases.insert(id, OpenLease { lease, phase, worker, deadline, history });
+        self.leases.insert(id, OpenLease { lease, phase, worker, opened: now, twin: None, deadline, history });
+        Some(id)
     }
 }

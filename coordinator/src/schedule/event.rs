@@ -1,9 +1,10 @@
 //! What can happen, and what is to be done about it.
 
-use super::job::Done;
+use super::job::{Done, Terms};
 use core::time::Duration;
+use gatherlight_proto::Digest;
 use gatherlight_proto::message::{InputRef, Lease, LeaseId, WorkerId};
-use gatherlight_proto::types::{JobId, Limits};
+use gatherlight_proto::types::JobId;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::EmissionRange;
 
@@ -16,8 +17,8 @@ pub enum Event {
         job: JobId,
         /// Its phases, in order.
         phases: Vec<Phase>,
-        /// When to end it early.
-        limits: Limits,
+        /// What else it brings.
+        terms: Box<Terms>,
     },
     /// A client wants it no more.
     Cancelled {
@@ -30,6 +31,8 @@ pub enum Event {
         worker: WorkerId,
         /// Its compute threads.
         threads: u32,
+        /// Memory it may use, bytes.
+        memory_bytes: u64,
     },
     /// A worker's heartbeat, or any other message of it.
     Heard {
@@ -60,6 +63,19 @@ pub enum Event {
         busy: Duration,
         /// Photons in it.
         stored: u64,
+        /// Digest of the result.
+        digest: Digest,
+    },
+    /// The result of a lease whose twin was faster arrived, as far as its digest.
+    Repeated {
+        /// Who had it.
+        worker: WorkerId,
+        /// The lease.
+        lease: LeaseId,
+        /// Its attempt.
+        attempt: u32,
+        /// Digest of the result.
+        digest: Digest,
     },
     /// A worker could not do a lease, or its result was invalid.
     TaskFailed {
@@ -172,6 +188,17 @@ pub enum Command {
         job: JobId,
         /// The lease.
         lease: LeaseId,
+    },
+    /// Two workers gave different results for the same indices: one of them cannot be trusted.
+    Dispute {
+        /// The job.
+        job: JobId,
+        /// Index of the phase within the job.
+        phase: usize,
+        /// The indices.
+        range: EmissionRange,
+        /// Whose result counts, and whose differs.
+        workers: [WorkerId; 2],
     },
     /// The result that just completed does not count.
     Discard {

@@ -25,6 +25,7 @@
 //!   many rounds there are.
 //! - A limit ends the job between two rounds.
 
+use super::saved::Saved;
 use super::work::{Kind, Retry, Total, Work};
 use core::time::Duration;
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef, Task};
@@ -77,7 +78,11 @@ pub struct Job {
     limits: Limits,
     submitted: Duration,
     totals: BTreeMap<Kind, Total>,
+    /// Of them, those of closed rounds.
+    closed: BTreeMap<Kind, Total>,
     rounds_done: u32,
+    /// What an earlier coordinator did of phases that are not in the window yet.
+    saved: Saved,
     /// Maps of rounds that are over, which later rounds read too.
     kept: Vec<MapRef>,
     /// The bootstrap, which all rounds read.
@@ -87,6 +92,12 @@ pub struct Job {
     /// The time limit is reached.
     is_late: bool,
     ended_by: Option<Limit>,
+    /// Whose turn it is: higher ones before lower ones.
+    pub priority: i32,
+    /// Memory a worker needs for it, bytes.
+    pub worker_bytes: u64,
+    /// Results that two workers gave and that differ.
+    pub disputes: u64,
     /// Leases handed out again so far.
     pub retried: u64,
     /// Workers that were given work so far.
@@ -95,6 +106,21 @@ pub struct Job {
     pub workers_lost: u32,
     /// Since when every worker that is there is set aside.
     pub stuck_since: Option<Duration>,
+}
+
+/// What a job brings beside its phases. By default it is new, of no particular priority, and fits any worker.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Terms {
+    /// When to end it early.
+    pub limits: Limits,
+    /// Whose turn it is: higher ones before lower ones.
+    pub priority: i32,
+    /// Memory a worker needs for it, bytes.
+    pub worker_bytes: u64,
+    /// Time since its submission.
+    pub age: Duration,
+    /// What is done of it.
+    pub saved: Saved,
 }
 
 /// What the image is made of.
@@ -149,28 +175,47 @@ fn is_round(round: &[Phase]) -> bool {
 }
 
 impl Job {
-    /// `None` when the phases make no job. Nothing is open before [`Job::advance`].
-    pub fn new(id: JobId, phases: Vec<Phase>, limits: Limits, now: Duration) -> Option<Self> {
-        make_sense(&phases).then(|| Job {
+    /// `None` when the phases make no job, or what is saved is none of it. Nothing is open before [`Job::advance`].
+    pub fn new(id: JobId, phases: Vec<Phase>, terms: Terms, now: Duration) -> Option<Self> {
+        let Terms { limits, priority, worker_bytes, age, mut saved } = terms;
+        let first = phases.iter().position(|p| p.round() >= saved.rounds)?;
+        let mut job = Job {
             id,
-            phases,
             window: VecDeque::new(),
-            first: 0,
+            first,
             assembling: false,
             limits,
-            submitted: now,
-            totals: BTreeMap::new(),
-            rounds_done: 0,
+            submitted: now.saturating_sub(age),
+            totals: saved.totals.clone(),
+            closed: std::mem::take(&mut saved.totals),
+            rounds_done: saved.rounds,
             kept: Vec::new(),
             bootstrap: None,
             is_good_enough: false,
             is_late: false,
             ended_by: None,
+            priority,
+            worker_bytes,
+            disputes: 0,
             retried: 0,
             workers: 0,
             workers_lost: 0,
             stuck_since: None,
-        })
+            saved: Saved::default(),
+            phases,
+        };
+        if !make_sense(&job.phases) {
+            return None;
+        }
+        let later = saved.inputs.split_off(&first);
+        for (input, _) in std::mem::replace(&mut saved.inputs, later).into_values() {
+            match input {
+                InputRef::Map(map) => job.kept.push(map),
+                InputRef::Bootstrap(blob) => job.bootstrap = Some(blob),
+            }
+        }
+        job.saved = saved;
+        Some(job)
     }
     /// The phases in progress, in order.
     pub fn steps(&self) -> impl Iterator<Item = &Step> {
@@ -187,6 +232,10 @@ impl Job {
     /// What is done so far.
     pub fn done(&self) -> Done {
         Done { rounds: self.rounds_done, units: self.total(Kind::Splat).units, ended_by: self.ended_by }
+    }
+    /// Counts over the phases of closed rounds.
+    pub fn closed_totals(&self) -> &BTreeMap<Kind, Total> {
+        &self.closed
     }
     /// Indices done of all phases of a kind, in all rounds.
     pub fn total(&self, kind: Kind) -> Total {
@@ -216,6 +265,10 @@ impl Job {
                 Phase::Gather { .. } | Phase::Splat { .. } => s.work.waiting() == 0,
             }),
         }
+    }
+    /// Index of a phase in the window.
+    pub fn index_of(&self, phase: Phase) -> Option<usize> {
+        self.window.iter().position(|s| s.work.phase == phase).map(|i| self.first + i)
     }
     /// Work of phase `index`, while it is in the window.
     pub fn work(&self, index: usize) -> Option<&Work> {
@@ -292,7 +345,13 @@ impl Job {
             if phase.round() > round + 1 {
                 return;
             }
-            self.window.push_back(Step { work: Work::new(phase), stage: Stage::Working });
+            let (work, input) = self.saved.take(self.first + self.window.len(), phase);
+            self.totals.entry(Kind::of(phase)).or_default().add(&work);
+            if let Some(InputRef::Bootstrap(blob)) = input {
+                self.bootstrap = Some(blob);
+            }
+            let stage = input.map_or(Stage::Working, |input| Stage::Complete(Some(input)));
+            self.window.push_back(Step { work, stage });
         }
     }
     /// Drops the present round from the window, if all of it is complete.
@@ -304,6 +363,7 @@ impl Job {
         let maps = self.maps(round);
         while let Some(step) = self.window.pop_front_if(|s| s.round() == round) {
             self.rounds_done += u32::from(step.work.phase.makes_image());
+            self.closed.entry(Kind::of(step.work.phase)).or_default().add(&step.work);
             self.first += 1;
         }
         if self.first < self.phases.len() {

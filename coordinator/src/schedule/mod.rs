@@ -2,29 +2,35 @@
 //! by the driver. No clock, no tasks, no channels, no payload: only ids, counts and digests. What an event costs does not
 //! depend on the number of rounds.
 //!
-//! Every index of every phase is, at any time, in exactly one place: fresh, waiting for a retry, in one open lease, or
-//! done. So an index counts once, whatever arrives twice, late or not at all.
+//! Every index of every phase is, at any time, in exactly one place: fresh, waiting for a retry, in one open lease or two that are
+//! twins, or done. So an index counts once, whatever arrives twice, late or not at all.
 
 mod assign;
 pub mod event;
 pub mod job;
 pub mod policy;
 pub mod pool;
+pub mod saved;
 #[cfg(test)]
 mod tests;
+pub mod twins;
 pub mod work;
 pub mod workers;
 
 pub use event::{Command, Discarded, Event, Outcome};
+pub use job::Terms;
 pub use policy::Policy;
+pub use saved::Saved;
 
 use core::time::Duration;
+use gatherlight_proto::Digest;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
-use gatherlight_proto::types::{JobId, Limits};
+use gatherlight_proto::types::JobId;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::EmissionRange;
 use job::{Job, Next};
 use std::collections::{BTreeMap, VecDeque};
+use twins::Settled;
 use work::{History, Kind, Retry};
 use workers::{Worker, Workers};
 
@@ -37,10 +43,23 @@ pub struct OpenLease {
     pub phase: usize,
     /// Who has it.
     pub worker: WorkerId,
+    /// When it was handed out.
+    pub opened: Duration,
+    /// Another one of the same indices.
+    pub twin: Option<LeaseId>,
     /// When it is given up.
     pub deadline: Duration,
     /// The past of its indices, this attempt included.
     pub history: History,
+}
+
+/// What a worker says of a result.
+#[derive(Clone, Copy)]
+struct Completed {
+    range: EmissionRange,
+    busy: Duration,
+    stored: u64,
+    digest: Digest,
 }
 
 /// The scheduler's whole state.
@@ -52,6 +71,7 @@ pub struct Scheduler {
     turn: VecDeque<JobId>,
     workers: Workers,
     leases: BTreeMap<LeaseId, OpenLease>,
+    settled: BTreeMap<LeaseId, Settled>,
     last_lease: u64,
     now: Duration,
 }
@@ -66,15 +86,27 @@ impl Scheduler {
         self.now = now;
         let mut out = Vec::new();
         match event {
-            Event::Submitted { job, phases, limits } => self.submitted(job, phases, limits, &mut out),
+            Event::Submitted { job, phases, terms } => self.submitted(job, phases, *terms, &mut out),
             Event::Cancelled { job } => self.end(job, Outcome::Cancelled, &mut out),
-            Event::Joined { worker, threads } => drop(self.workers.insert(worker, Worker::new(now, threads))),
+            Event::Joined { worker, threads, memory_bytes } => {
+                self.workers.insert(worker, Worker::new(now, threads, memory_bytes));
+            }
             Event::Heard { worker } => self.heard(now, worker),
             Event::Lost { worker } => self.lost(worker, &mut out),
             Event::Draining { worker } => self.draining(now, worker),
-            Event::Completed { worker, lease, attempt, range, busy, stored } => {
+            Event::Completed { worker, lease, attempt, range, busy, stored, digest } => {
                 self.heard(now, worker);
-                self.completed((worker, lease, attempt), range, busy, stored, &mut out);
+                if self.settled(worker, lease, attempt).is_some() {
+                    self.compare(worker, lease, digest, &mut out);
+                }
+                let result = Completed { range, busy, stored, digest };
+                self.completed((worker, lease, attempt), result, &mut out);
+            }
+            Event::Repeated { worker, lease, attempt, digest } => {
+                self.heard(now, worker);
+                if self.settled(worker, lease, attempt).is_some() {
+                    self.compare(worker, lease, digest, &mut out);
+                }
             }
             Event::TaskFailed { worker, lease, attempt, error } => {
                 self.heard(now, worker);
@@ -107,6 +139,23 @@ impl Scheduler {
     pub fn job(&self, job: JobId) -> Option<&Job> {
         self.jobs.get(&job)
     }
+    /// Why no worker works on `job`, as a sentence; empty where there is no reason.
+    pub fn waits_for(&self, job: &Job) -> String {
+        let limit = self.policy.set_aside_after;
+        let largest = self.workers.values().map(|w| w.memory_bytes).max();
+        match largest {
+            None => "no worker has joined".to_owned(),
+            Some(largest) if largest < job.worker_bytes => format!(
+                "it needs workers with {} MiB of memory, and the largest that is there has {} MiB: start one with a larger --memory",
+                job.worker_bytes.div_ceil(1 << 20),
+                largest >> 20,
+            ),
+            Some(_) if self.workers.values().all(|w| w.is_set_aside(job.id, limit)) => {
+                format!("every worker failed {limit} of its tasks and was set aside")
+            }
+            Some(_) => String::new(),
+        }
+    }
     /// The workers.
     pub fn workers(&self) -> &Workers {
         &self.workers
@@ -128,8 +177,8 @@ impl Scheduler {
         self.leases.get(&lease)
     }
 
-    fn submitted(&mut self, id: JobId, phases: Vec<Phase>, limits: Limits, out: &mut Vec<Command>) {
-        let Some(job) = Job::new(id, phases, limits, self.now) else {
+    fn submitted(&mut self, id: JobId, phases: Vec<Phase>, terms: Terms, out: &mut Vec<Command>) {
+        let Some(job) = Job::new(id, phases, terms, self.now) else {
             let error = "the job's phases are not rounds of emissions and a gather, or of a splat".to_owned();
             out.push(Command::Finish { job: id, outcome: Outcome::Failed(error) });
             return;
@@ -155,9 +204,7 @@ impl Scheduler {
     fn completed(
         &mut self,
         (worker, lease, attempt): (WorkerId, LeaseId, u32),
-        range: EmissionRange,
-        busy: Duration,
-        stored: u64,
+        Completed { range, busy, stored, digest }: Completed,
         out: &mut Vec<Command>,
     ) {
         if !self.is_open(worker, lease, attempt) {
@@ -174,6 +221,7 @@ impl Scheduler {
             w.leases.remove(&lease);
             w.completed += 1;
         }
+        self.settle(&open, digest, out);
         let Some(job) = self.jobs.get_mut(&open.lease.job) else { return };
         let kind = job.work(open.phase).map(|w| Kind::of(w.phase));
         if let (Some(w), Some(kind)) = (self.workers.get_mut(&worker), kind) {
@@ -239,6 +287,7 @@ impl Scheduler {
     /// A worker is gone: its leases are done by others.
     fn lost(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
         let Some(gone) = self.workers.remove(&worker) else { return };
+        self.settled.retain(|_, s| s.open.worker != worker);
         for job in &gone.prepared {
             self.jobs.entry(*job).and_modify(|j| j.workers_lost += 1);
         }
@@ -254,6 +303,13 @@ impl Scheduler {
             w.leases.remove(&lease);
         }
         note(&mut open.history);
+        if let Some(twin) = open.twin.and_then(|twin| self.leases.get_mut(&twin)) {
+            // The other one is still out; what is known against these indices goes with it.
+            twin.twin = None;
+            twin.history.losses = twin.history.losses.max(open.history.losses);
+            twin.history.failures.extend(open.history.failures);
+            return;
+        }
         let (id, range, history) = (open.lease.job, open.lease.range, open.history);
         let hopeless = self.hopeless(open.phase, range, &history);
         let Some(job) = self.jobs.get_mut(&id) else { return };
@@ -316,6 +372,7 @@ impl Scheduler {
             out.push(Command::Revoke { worker, lease });
             self.take_back(lease, |history| history.losses += 1, out);
         }
+        self.settled.retain(|_, s| now <= s.open.deadline);
         self.fail_stuck(out);
         let jobs: Vec<JobId> = self.jobs.keys().copied().collect();
         jobs.into_iter().for_each(|job| self.advance(job, out));

@@ -38,6 +38,8 @@ pub struct Policy {
     /// Time that other workers get to turn up, before a task goes back to a worker that failed it, and before a job fails
     /// because every worker that is there was set aside.
     pub patience: Duration,
+    /// Age at which a lease is worth repeating on a worker that has nothing else to do.
+    pub twin_after: Duration,
     /// For tests: hand out indices in an order drawn from this seed.
     pub shuffle: Option<u64>,
 }
@@ -60,6 +62,7 @@ impl Default for Policy {
             max_losses: 10,
             set_aside_after: 3,
             patience: Duration::from_secs(10),
+            twin_after: Duration::from_secs(2),
             shuffle: None,
         }
     }

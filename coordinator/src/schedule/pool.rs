@@ -52,6 +52,17 @@ impl IntervalPool {
         self.units += range.len();
         true
     }
+    /// The indices of [0, `units`) that are not in it.
+    pub fn complement(&self, units: u64) -> IntervalPool {
+        let mut rest = IntervalPool::default();
+        let mut from = 0;
+        for (&first, &end) in &self.intervals {
+            rest.insert(EmissionRange { first: from, end: first.min(units).max(from) });
+            from = from.max(end);
+        }
+        rest.insert(EmissionRange { first: from, end: units.max(from) });
+        rest
+    }
     /// Takes up to `units` indices, from the lowest on.
     pub fn take(&mut self, units: u64) -> Option<EmissionRange> {
         self.take_from(0, units)
@@ -84,6 +95,19 @@ mod tests {
 
     fn range(first: u64, end: u64) -> EmissionRange {
         EmissionRange { first, end }
+    }
+
+    #[test]
+    fn a_pool_and_its_complement_are_the_whole() {
+        let mut pool = IntervalPool::default();
+        let pieces = [(3, 5), (8, 10), (19, 20)].map(|(first, end)| range(first, end));
+        pieces.iter().for_each(|&r| assert!(pool.insert(r)));
+        let mut rest = pool.complement(20);
+        assert_eq!((rest.units(), rest.overlaps(range(3, 5)), rest.overlaps(range(5, 6))), (15, false, true));
+        pieces.iter().for_each(|&r| assert!(rest.insert(r)));
+        assert_eq!(rest, IntervalPool::full(20));
+        assert_eq!(IntervalPool::default().complement(7), IntervalPool::full(7));
+        assert_eq!(IntervalPool::full(7).complement(7), IntervalPool::default());
     }
 
     #[test]

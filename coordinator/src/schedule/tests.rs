@@ -7,6 +7,7 @@ use gatherlight_proto::message::{InputRef, MapRef, Task};
 use gatherlight_render::photon::MapKind;
 
 mod rounds;
+mod survive;
 
 const JOB: JobId = JobId(7);
 const A: WorkerId = WorkerId(1);
@@ -21,9 +22,15 @@ fn range(first: u64, end: u64) -> EmissionRange {
     EmissionRange { first, end }
 }
 
-/// One lease at a time of 10 paths or 2 tiles, so that tests can count.
+fn submitted(job: JobId, phases: Vec<Phase>) -> Event {
+    Event::Submitted { job, phases, terms: Box::default() }
+}
+
+/// One lease at a time of 10 paths or 2 tiles, and none twice, so that tests can count.
 fn policy() -> Policy {
-    Policy { leases_per_worker: 1, probe_paths: 10, min_paths: 10, max_paths: 10, max_tiles: 2, ..Policy::default() }
+    let (probe_paths, min_paths, max_paths, max_tiles) = (10, 10, 10, 2);
+    let twin_after = Duration::MAX;
+    Policy { leases_per_worker: 1, probe_paths, min_paths, max_paths, max_tiles, twin_after, ..Policy::default() }
 }
 
 /// A scheduler, its clock, and what it said last.
@@ -41,21 +48,22 @@ impl Bench {
         let mut bench = Bench::new(policy);
         let emission = (paths > 0).then_some(Phase::Emission { round: 0, map: MapKind::Global, paths });
         let phases = emission.into_iter().chain([Phase::Gather { round: 0, tiles }]).collect();
-        assert_eq!(bench.event(Event::Submitted { job: JOB, phases, limits: Limits::default() }), []);
+        assert_eq!(bench.event(submitted(JOB, phases)), []);
         bench
     }
     fn event(&mut self, event: Event) -> Vec<Command> {
         self.scheduler.handle(self.now, event)
     }
     fn join(&mut self, worker: WorkerId) -> Vec<Command> {
-        self.event(Event::Joined { worker, threads: 2 })
+        self.event(Event::Joined { worker, threads: 2, memory_bytes: 1 << 30 })
     }
     /// The worker returns what its lease asked for.
     fn complete(&mut self, worker: WorkerId, lease: u64) -> Vec<Command> {
         let open = self.scheduler.lease(LeaseId(lease)).expect("is open").lease.clone();
         let (attempt, range) = (open.attempt, open.range);
         let busy = Duration::from_millis(10);
-        self.event(Event::Completed { worker, lease: open.id, attempt, range, busy, stored: 1 })
+        let digest = Digest([9; 32]);
+        self.event(Event::Completed { worker, lease: open.id, attempt, range, busy, stored: 1, digest })
     }
     fn fail(&mut self, worker: WorkerId, lease: u64, error: &str) -> Vec<Command> {
         let attempt = self.scheduler.lease(LeaseId(lease)).map_or(1, |l| l.lease.attempt);
@@ -136,7 +144,7 @@ fn a_map_without_paths_is_built_at_once() {
     let phases =
         vec![Phase::Emission { round: 0, map: MapKind::Global, paths: 0 }, Phase::Gather { round: 0, tiles: 1 }];
     let build = build(0, MapKind::Global, 0);
-    assert_eq!(b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() }), [build]);
+    assert_eq!(b.event(submitted(JOB, phases)), [build]);
 }
 
 #[test]
@@ -144,7 +152,7 @@ fn the_next_map_is_traced_while_one_is_merged_and_tiles_wait_for_both() {
     let mut b = Bench::new(policy());
     let phase = |map| Phase::Emission { round: 0, map, paths: 10 };
     let phases = vec![phase(MapKind::Global), phase(MapKind::Caustic), Phase::Gather { round: 0, tiles: 1 }];
-    b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
+    b.event(submitted(JOB, phases));
     b.join(A);
     let caustic = Command::Assign {
         worker: A,
@@ -164,7 +172,7 @@ fn phases_that_make_no_job_fail_it() {
     let gather = Phase::Gather { round: 0, tiles: 1 };
     let emission = Phase::Emission { round: 0, map: MapKind::Global, paths: 1 };
     for phases in [vec![], vec![emission], vec![gather, gather], vec![emission, emission, gather]] {
-        let said = Bench::new(policy()).event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
+        let said = Bench::new(policy()).event(submitted(JOB, phases));
         assert!(matches!(said[..], [Command::Finish { outcome: Outcome::Failed(_), .. }]), "{said:?}");
     }
 }
@@ -197,7 +205,15 @@ fn a_silent_worker_is_dead_and_what_it_says_later_is_stale() {
     assert_eq!(b.event(Event::Tick), [Command::Dismiss { worker: A, reason }]);
     assert_eq!(b.join(B), [prepare(B), emit(B, 2, 2, range(0, 10))]);
     let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let late = Event::Completed { worker: A, lease, attempt: 1, range: range(0, 10), busy, stored: 1 };
+    let late = Event::Completed {
+        worker: A,
+        lease,
+        attempt: 1,
+        range: range(0, 10),
+        busy,
+        stored: 1,
+        digest: Digest([9; 32]),
+    };
     assert_eq!(b.event(late), [stale(1)]);
 }
 
@@ -235,7 +251,15 @@ fn a_result_counts_once() {
     b.join(A);
     b.complete(A, 1);
     let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let again = Event::Completed { worker: A, lease, attempt: 1, range: range(0, 10), busy, stored: 1 };
+    let again = Event::Completed {
+        worker: A,
+        lease,
+        attempt: 1,
+        range: range(0, 10),
+        busy,
+        stored: 1,
+        digest: Digest([9; 32]),
+    };
     assert_eq!(b.event(again), [stale(1)]);
     assert_eq!(b.scheduler.job(JOB).map(|j| j.total(Kind::Emission(MapKind::Global)).units), Some(10));
 }
@@ -247,7 +271,7 @@ fn results_of_others_leases_attempts_and_ranges_do_not_count() {
     b.join(B);
     let done = |worker, lease, attempt, range| {
         let (lease, busy) = (LeaseId(lease), Duration::ZERO);
-        Event::Completed { worker, lease, attempt, range, busy, stored: 1 }
+        Event::Completed { worker, lease, attempt, range, busy, stored: 1, digest: Digest([9; 32]) }
     };
     assert_eq!(b.event(done(B, 1, 1, range(0, 10))), [stale(1)]);
     assert_eq!(b.event(done(A, 1, 2, range(0, 10))), [stale(1)]);
@@ -364,7 +388,15 @@ fn cancelling_revokes_forgets_and_ends() {
     assert_eq!(b.event(Event::Cancelled { job: JOB }), end);
     assert_eq!(b.event(Event::Cancelled { job: JOB }), []);
     let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let late = Event::Completed { worker: A, lease, attempt: 1, range: range(0, 10), busy, stored: 1 };
+    let late = Event::Completed {
+        worker: A,
+        lease,
+        attempt: 1,
+        range: range(0, 10),
+        busy,
+        stored: 1,
+        digest: Digest([9; 32]),
+    };
     assert_eq!(b.event(late), [stale(1)]);
     assert_eq!(b.event(built(0, GLOBAL)), []);
 }
@@ -384,7 +416,7 @@ fn several_jobs_take_turns() {
     let jobs = [JobId(1), JobId(2)];
     for job in jobs {
         let phases = vec![Phase::Gather { round: 0, tiles: 100 }];
-        b.event(Event::Submitted { job, phases, limits: Limits::default() });
+        b.event(submitted(job, phases));
     }
     b.join(A);
     let mut got = Vec::new();
@@ -401,7 +433,7 @@ fn every_worker_gets_one_lease_before_any_gets_two() {
     b.join(A);
     b.join(B);
     let phases = vec![Phase::Gather { round: 0, tiles: 8 }];
-    let said = b.event(Event::Submitted { job: JOB, phases, limits: Limits::default() });
+    let said = b.event(submitted(JOB, phases));
     let order: Vec<_> =
         said.iter().filter_map(|c| if let Command::Assign { worker, .. } = c { Some(*worker) } else { None }).collect();
     assert_eq!(order, [A, B, A, B]);
@@ -414,7 +446,7 @@ fn a_faster_worker_gets_larger_leases() {
     b.join(B);
     let done = |worker, lease, range, ms| {
         let busy = Duration::from_millis(ms);
-        Event::Completed { worker, lease: LeaseId(lease), attempt: 1, range, busy, stored: 0 }
+        Event::Completed { worker, lease: LeaseId(lease), attempt: 1, range, busy, stored: 0, digest: Digest([9; 32]) }
     };
     let p = Policy::default().probe_paths;
     b.event(done(A, 1, range(0, p), 10));

@@ -40,6 +40,14 @@ pub struct Total {
     pub stored: u64,
 }
 
+impl Total {
+    /// Adds what is done of a phase.
+    pub fn add(&mut self, work: &Work) {
+        self.units += work.done.units();
+        self.stored += work.stored;
+    }
+}
+
 /// What is remembered of indices that came back undone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct History {

@@ -19,6 +19,8 @@ pub type PhaseKey = (JobId, Kind);
 pub struct Worker {
     /// Its compute threads.
     pub threads: u32,
+    /// Memory it may use, bytes.
+    pub memory_bytes: u64,
     /// When it joined.
     pub joined: Duration,
     /// When it was last heard.
@@ -39,9 +41,10 @@ pub struct Worker {
 
 impl Worker {
     /// A worker that joins now.
-    pub fn new(now: Duration, threads: u32) -> Self {
+    pub fn new(now: Duration, threads: u32, memory_bytes: u64) -> Self {
         Worker {
             threads,
+            memory_bytes,
             joined: now,
             last_heard: now,
             leases: BTreeSet::new(),

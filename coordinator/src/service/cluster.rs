@@ -1,12 +1,12 @@
 //! What workers call.
 
 use super::{Context, ReplyStream, memory_chunks, stored_chunks};
-use crate::driver::{Delivery, Handle, Payload, Source, Ticket};
+use crate::driver::{Delivery, Handle, Offered, Source, Ticket};
+use crate::result;
 use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
 use gatherlight_proto::limits::MAX_RESULT_BYTES;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, Task, WorkerId};
-use gatherlight_proto::payload::{bootstrap, gather, light, photons};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, WorkerId};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{Chunk, CoordinatorMessage, DeliverRequest, FetchRequest, Receipt, WorkerMessage};
@@ -71,11 +71,18 @@ impl Cluster for ClusterService {
         };
         let header = DeliverHeader::try_from(header)?;
         // Asked before any of it is read: what is not wanted costs nothing.
-        let Some(ticket) = self.context.driver.offer(header).await else {
-            return Ok(Response::new(Receipt { accepted: false }));
+        let ticket = match self.context.driver.offer(header).await {
+            Offered::Wanted(ticket) => *ticket,
+            Offered::Repeated(worker) => {
+                if let Some(digest) = announced(&mut inbound).await? {
+                    self.context.driver.repeated(worker, header, digest).await;
+                }
+                return Ok(Response::new(Receipt { accepted: false }));
+            }
+            Offered::Stale => return Ok(Response::new(Receipt { accepted: false })),
         };
         let received = match receive(&mut inbound).await {
-            Ok(bytes) => self.decode(&ticket, bytes).await,
+            Ok((bytes, digest)) => self.decode(&ticket, bytes, digest).await,
             Err(status) => Err(status),
         };
         match received {
@@ -96,40 +103,31 @@ impl Cluster for ClusterService {
 
 impl ClusterService {
     /// Decodes a result on the compute threads.
-    async fn decode(&self, ticket: &Ticket, bytes: Bytes) -> Result<Delivery, Status> {
-        let (ticket, length) = (ticket.clone(), bytes.len() as u64);
+    async fn decode(&self, ticket: &Ticket, raw: Bytes, digest: Digest) -> Result<Delivery, Status> {
+        let ticket = ticket.clone();
         let decode = move || {
-            let payload = read(&ticket, &bytes)?;
-            Ok::<_, WireError>(Delivery { ticket, payload, bytes: length })
+            let payload = result::read(&ticket.shape, ticket.phase.1, ticket.range, &raw)?;
+            Ok::<_, WireError>(Delivery { ticket, payload, raw, digest })
         };
         let decoded = self.context.compute.run(decode).await;
         Ok(decoded.map_err(|e| Status::internal(e.to_string()))??)
     }
 }
 
-/// The result that `ticket` is for.
-fn read(ticket: &Ticket, bytes: &[u8]) -> Result<Payload, WireError> {
-    let (range, empty) = (ticket.range, ticket.light.as_deref());
-    Ok(match &ticket.task {
-        Task::Emission { .. } => Payload::Photons(photons::decode_batch(bytes, range, ticket.directions)?),
-        Task::Bootstrap => Payload::Luminances(range.first, bootstrap::decode(bytes, range)?),
-        Task::Splat { .. } => {
-            let empty = empty.ok_or_else(|| WireError::payload("light image", "is of a method that has none"))?;
-            Payload::Light(light::decode(bytes, empty)?)
-        }
-        Task::Gather { .. } => {
-            let (tiles, light) = gather::decode(bytes, range, ticket.grid, &ticket.channels, empty)?;
-            Payload::Tiles(tiles, light)
-        }
-    })
-}
-
 fn is_broken_connection(status: &Status) -> bool {
     matches!(status.code(), Code::Cancelled | Code::Unknown | Code::Unavailable)
 }
 
-/// The chunks that follow the header, as one payload.
-async fn receive(inbound: &mut Streaming<DeliverRequest>) -> Result<Bytes, Status> {
+/// The digest that the first chunk after the header announces.
+async fn announced(inbound: &mut Streaming<DeliverRequest>) -> Result<Option<Digest>, Status> {
+    match next(inbound).await?.and_then(|m| m.kind) {
+        Some(Kind::Chunk(chunk)) if chunk.index == 0 => Ok(Some(Digest::try_from(&chunk.digest[..])?)),
+        _ => Ok(None),
+    }
+}
+
+/// The chunks that follow the header, as one payload with its digest.
+async fn receive(inbound: &mut Streaming<DeliverRequest>) -> Result<(Bytes, Digest), Status> {
     let mut assembler = Assembler::new("result size in bytes", MAX_RESULT_BYTES, "MAX_RESULT_BYTES");
     while let Some(message) = next(inbound).await? {
         let Some(Kind::Chunk(chunk)) = message.kind else {
@@ -137,7 +135,7 @@ async fn receive(inbound: &mut Streaming<DeliverRequest>) -> Result<Bytes, Statu
         };
         assembler.push(&chunk)?;
     }
-    Ok(assembler.finish()?.0)
+    Ok(assembler.finish()?)
 }
 
 /// The next message, within [`PATIENCE`].

@@ -7,7 +7,7 @@ use crate::store::StoreError;
 use crate::types::{JobId, JobProgress, Limits};
 use gatherlight_proto::WireError;
 use gatherlight_proto::error::truncated;
-use gatherlight_proto::limits::{MAX_EXTERNALS, MAX_NAME_BYTES, PROTOCOL_VERSION};
+use gatherlight_proto::limits::{MAX_EXTERNALS, MAX_NAME_BYTES, MAX_PRIORITY, PROTOCOL_VERSION};
 use gatherlight_proto::message::{BlobRef, SceneManifest};
 use gatherlight_proto::wire::jobs_server::Jobs;
 use gatherlight_proto::wire::{self, Chunk};
@@ -65,6 +65,7 @@ impl From<IntakeError> for Status {
                 Status::invalid_argument(text)
             }
             IntakeError::Driver(SubmitError::Closed) => Status::unavailable(text),
+            IntakeError::Driver(SubmitError::Store(_)) => Status::internal(text),
             IntakeError::Internal(_) => Status::internal(text),
         }
     }
@@ -84,8 +85,10 @@ impl Jobs for JobsService {
         let asked = request.into_inner().blobs;
         WireError::check_limit("blobs asked for", asked.len() as u64, MAX_EXTERNALS as u64 + 1, "MAX_EXTERNALS")?;
         let blobs = asked.into_iter().map(BlobRef::try_from).collect::<Result<Vec<_>, _>>()?;
-        let missing = blobs.iter().filter(|b| !self.context.store.contains(b.digest));
-        Ok(Response::new(wire::MissingReply { digests: missing.map(|b| b.digest.to_bytes()).collect() }))
+        let missing: Vec<&BlobRef> = blobs.iter().filter(|b| !self.context.store.touch(b.digest)).collect();
+        let wanted = missing.iter().fold(0u64, |sum, b| sum.saturating_add(b.bytes));
+        self.context.driver.make_room(wanted).await;
+        Ok(Response::new(wire::MissingReply { digests: missing.iter().map(|b| b.digest.to_bytes()).collect() }))
     }
 
     async fn upload(&self, request: Request<Streaming<Chunk>>) -> Result<Response<wire::UploadReply>, Status> {
@@ -114,6 +117,8 @@ impl Jobs for JobsService {
             manifest: SceneManifest::try_from(request.scene.ok_or(WireError::Missing("scene"))?)?,
             settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
             limits: request.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
+            priority: request.priority.clamp(-MAX_PRIORITY, MAX_PRIORITY),
+            owner: String::new(),
         };
         let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
         let Context { driver, compute, store } = &self.context;

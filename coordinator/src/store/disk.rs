@@ -4,7 +4,12 @@ use gatherlight_proto::Digest;
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime};
+
+/// Time since it was touched for which a blob is not collected.
+const GRACE: Duration = Duration::from_secs(600);
 
 /// The directory of a store. Every path in it is made of a digest or a number, never of a name that a peer chose.
 #[derive(Debug)]
@@ -35,6 +40,31 @@ impl Directory {
     }
     pub(super) fn contains(&self, digest: Digest) -> bool {
         self.path(digest).is_file()
+    }
+    /// Whether it is there; if so, it is as new from now on.
+    pub(super) fn touch(&self, digest: Digest) -> bool {
+        let touched =
+            File::options().append(true).open(self.path(digest)).and_then(|f| f.set_modified(SystemTime::now()));
+        // One that cannot be touched can be read all the same.
+        touched.is_ok() || self.contains(digest)
+    }
+    /// Digests and lengths of blobs that were not touched lately, the longest untouched first.
+    pub(super) fn untouched(&self) -> io::Result<Vec<(Digest, u64)>> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&self.blobs)? {
+            let entry = entry?;
+            let (metadata, name) = (entry.metadata()?, entry.file_name());
+            let Some(digest) = name.to_str().and_then(|n| Digest::from_str(n).ok()) else { continue };
+            let touched = metadata.modified()?;
+            if touched.elapsed().is_ok_and(|age| age >= GRACE) {
+                found.push((touched, digest, metadata.len()));
+            }
+        }
+        found.sort_unstable_by_key(|&(touched, digest, _)| (touched, digest.0));
+        Ok(found.into_iter().map(|(_, digest, length)| (digest, length)).collect())
+    }
+    pub(super) fn remove(&self, digest: Digest) -> io::Result<()> {
+        fs::remove_file(self.path(digest))
     }
     pub(super) fn len(&self, digest: Digest) -> io::Result<u64> {
         fs::metadata(self.path(digest)).map(|m| m.len())
@@ -77,7 +107,9 @@ impl PartialFile {
     /// Gives it its name, once it is safely on the disk.
     pub(super) fn finish(self, digest: Digest) -> io::Result<()> {
         self.file.sync_all()?;
-        fs::rename(&self.path, self.blobs.join(digest.to_string()))
+        fs::rename(&self.path, self.blobs.join(digest.to_string()))?;
+        // The name is on the disk when its directory is.
+        File::open(&self.blobs)?.sync_all()
     }
 }
 

@@ -1,9 +1,11 @@
-//! Content-addressed blobs: scene files that clients upload and images that jobs leave.
+//! What outlives the process: content-addressed blobs (scene files that clients upload and images that jobs leave), and the
+//! [`journal`] of what jobs are and have done.
 //!
 //! A blob is written under a temporary name, checked against its digest, and then renamed to it, so that a name is there
 //! only with its whole content.
 
 mod disk;
+pub mod journal;
 
 use bytes::Bytes;
 use disk::{Directory, PartialFile};
@@ -12,7 +14,8 @@ use gatherlight_proto::limits::{CHUNK_BYTES, MAX_BLOB_BYTES};
 use gatherlight_proto::message::BlobRef;
 use gatherlight_proto::wire::Chunk;
 use gatherlight_proto::{Digest, WireError};
-use std::collections::BTreeMap;
+use journal::Journal;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -45,6 +48,7 @@ pub enum StoreError {
 #[derive(Debug)]
 pub struct Store {
     place: Place,
+    journal: Option<Journal>,
     limit_bytes: u64,
     used_bytes: AtomicU64,
 }
@@ -59,15 +63,54 @@ impl Store {
     /// An empty store in memory, without a limit: what is in it belongs to the caller already.
     pub fn memory() -> Self {
         let place = Place::Memory(Mutex::default());
-        Store { place, limit_bytes: u64::MAX, used_bytes: AtomicU64::new(0) }
+        Store { place, journal: None, limit_bytes: u64::MAX, used_bytes: AtomicU64::new(0) }
     }
     /// The store in `directory`, which is made if missing. Remains of interrupted uploads are removed.
     ///
     /// # Errors
     /// When the directory cannot be made, read or written.
     pub fn open(directory: &Path, limit_bytes: u64) -> io::Result<Self> {
-        let (directory, used) = Directory::open(directory)?;
-        Ok(Store { place: Place::Directory(directory), limit_bytes, used_bytes: AtomicU64::new(used) })
+        let (place, used) = Directory::open(directory)?;
+        // After the directory is there.
+        let journal = Some(Journal::open(&directory.join("jobs.redb"))?);
+        Ok(Store { place: Place::Directory(place), journal, limit_bytes, used_bytes: AtomicU64::new(used) })
+    }
+    /// What jobs are and have done; none for a store in memory.
+    pub fn journal(&self) -> Option<&Journal> {
+        self.journal.as_ref()
+    }
+    /// Most bytes of blobs.
+    pub fn limit_bytes(&self) -> u64 {
+        self.limit_bytes
+    }
+    /// Whether `bytes` more would not find room.
+    pub fn lacks_room(&self, bytes: u64) -> bool {
+        self.used_bytes.load(Ordering::Relaxed).saturating_add(bytes) > self.limit_bytes
+    }
+    /// Whether the blob is there; if so, it will not be collected for a while.
+    pub fn touch(&self, digest: Digest) -> bool {
+        match &self.place {
+            Place::Memory(_) => self.contains(digest),
+            Place::Directory(d) => d.touch(digest),
+        }
+    }
+    /// Removes blobs that are not `wanted`, the longest untouched first, until there is room for `bytes` more. Those that were touched
+    /// lately stay: somebody may be about to submit a job of them.
+    pub fn collect(&self, wanted: &BTreeSet<Digest>, bytes: u64) {
+        let Place::Directory(directory) = &self.place else { return };
+        let old = directory.untouched().unwrap_or_default();
+        for (digest, length) in old.into_iter().filter(|(digest, _)| !wanted.contains(digest)) {
+            if !self.lacks_room(bytes) {
+                return;
+            }
+            match directory.remove(digest) {
+                Ok(()) => {
+                    self.used_bytes.fetch_sub(length, Ordering::Relaxed);
+                    tracing::info!(%digest, bytes = length, "an old blob was collected");
+                }
+                Err(error) => tracing::warn!(%digest, %error, "an old blob cannot be removed"),
+            }
+        }
     }
     /// Whether the blob is there.
     pub fn contains(&self, digest: Digest) -> bool {

@@ -88,6 +88,8 @@ fn a_reopened_store_knows_its_blobs_and_finds_damage() {
     let bytes = blob(10_000);
     let digest = store.put(bytes.clone()).expect("stores").digest;
     std::fs::write(directory.path().join("partial/7"), b"rest").expect("writes");
+    assert!(Store::open(directory.path(), 1 << 30).is_err(), "two coordinators at once");
+    drop(store);
     let again = Store::open(directory.path(), 1 << 30).expect("opens");
     assert_eq!(again.get(digest).expect("is there"), bytes);
     assert_eq!(again.used_bytes.load(std::sync::atomic::Ordering::Relaxed), 10_000);

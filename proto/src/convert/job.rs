@@ -11,7 +11,7 @@ use gatherlight_render::film::{Bias, Noise};
 use gatherlight_render::photon::MapKind;
 use std::time::Duration;
 
-fn millis(d: Duration) -> u64 {
+pub(crate) fn millis(d: Duration) -> u64 {
     u64::try_from(d.as_millis()).unwrap_or(u64::MAX)
 }
 
@@ -77,6 +77,8 @@ impl From<&JobProgress> for wire::Job {
             result_digest: p.result_digest.map(Digest::to_bytes).unwrap_or_default(),
             round: p.round,
             rounds: p.rounds,
+            priority: p.priority,
+            waits_for: cut(&p.waits_for, MAX_ERROR_BYTES),
         }
     }
 }
@@ -106,6 +108,8 @@ impl TryFrom<wire::Job> for JobProgress {
             result_digest,
             round: j.round,
             rounds: j.rounds,
+            priority: j.priority,
+            waits_for: cut(&j.waits_for, MAX_ERROR_BYTES),
         })
     }
 }
@@ -150,6 +154,8 @@ impl From<&JobStats> for wire::JobStats {
             relative_error: s.noise.map(|n| n.relative).filter(|r| r.is_finite()),
             bias: s.bias.map(|b| b.absolute),
             relative_bias: s.bias.map(|b| b.relative),
+            disputes: s.disputes,
+            restarts: s.restarts,
         }
     }
 }
@@ -204,6 +210,8 @@ impl TryFrom<wire::JobStats> for JobStats {
                 .standard_error
                 .map(|standard_error| Noise { standard_error, relative: s.relative_error.unwrap_or(f64::INFINITY) }),
             bias: s.bias.map(|absolute| Bias { absolute, relative: s.relative_bias.unwrap_or(f64::INFINITY) }),
+            disputes: s.disputes,
+            restarts: s.restarts,
         })
     }
 }

@@ -9,6 +9,8 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use job::millis;
+
 use crate::error::WireError;
 use crate::limits::MAX_NAME_BYTES;
 use crate::wire;
@@ -34,7 +36,7 @@ impl From<MapKind> for wire::MapKind {
     }
 }
 
-fn map_kind(value: i32) -> Result<MapKind, WireError> {
+pub(crate) fn map_kind(value: i32) -> Result<MapKind, WireError> {
     match wire::MapKind::try_from(value) {
         Ok(wire::MapKind::Global) => Ok(MapKind::Global),
         Ok(wire::MapKind::Caustic) => Ok(MapKind::Caustic),

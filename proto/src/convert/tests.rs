@@ -228,6 +228,8 @@ fn job_snapshots_survive() {
             result_digest: Some(Digest([8; 32])),
             round: 9,
             rounds: 10,
+            priority: -7,
+            waits_for: "memory".into(),
         };
         assert_eq!(JobProgress::try_from(wire::Job::from(&p)), Ok(p));
     }

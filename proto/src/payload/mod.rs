@@ -2,6 +2,7 @@
 
 pub mod bootstrap;
 mod columns;
+pub mod film;
 #[cfg(test)]
 mod fuzz;
 pub mod gather;

@@ -4,12 +4,15 @@ use super::light_image::Mutations;
 use super::{Bias, Blur, ChannelSet, Film, LightImage, Tile, TileError, TileGrid};
 use crate::settings::Layer;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+mod restart;
 
 /// Collects the tiles of a job's rounds, one round after the other.
 ///
 /// The tiles of a round may come in any order. When all are there, the round is closed: its image, with what was splatted
 /// in it, is added to sums in f64, in round order. A job of one round keeps nothing beyond its film.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Accumulator {
     /// The round in the making.
     film: Film,
@@ -32,7 +35,7 @@ pub struct Accumulator {
 }
 
 /// Sums over rounds.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Sums {
     /// In pixel and channel order: Σ w x, but Σ w α x of layers that are means over hits, Σ (w − 1) x of variances, and Σ x of
     /// counts.
@@ -70,7 +73,7 @@ impl Sums {
 }
 
 /// What all pixels of an image are multiplied with, and how well it is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Brightness {
     /// The factor.
     pub factor: f64,

@@ -7,13 +7,15 @@
 //! mean of that over many pixels is well known. Where the rounds' common low-discrepancy sequences matter, the halves make up for
 //! each other's errors, and the bias is understated while the noise is overstated.
 
+use serde::{Deserialize, Serialize};
+
 /// Pixels that are followed, at most: enough for the mean, and bounded memory for any image.
 const MAX_PIXELS: usize = 1 << 16;
 /// Blocks of each half before which nothing is said: a slope needs two.
 const LEAST_BLOCKS: u32 = 2;
 
 /// Follows some pixels over the rounds.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Blur {
     /// Mean width of the rounds of each block, relative to the first round's.
     widths: Vec<f64>,
@@ -23,7 +25,7 @@ pub struct Blur {
 }
 
 /// Weighted sums over half of the blocks.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Half {
     blocks: u32,
     /// Σ w, Σ w x, Σ w x² of the widths x.

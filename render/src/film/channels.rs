@@ -1,9 +1,10 @@
 //! Which channels an image has, in file order.
 
 use crate::settings::Layer;
+use serde::{Deserialize, Serialize};
 
 /// The channels of an image: colour `R G B A` first, then those of each requested layer.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChannelSet {
     layers: Vec<Layer>,
 }

@@ -10,6 +10,7 @@
 use super::TileGrid;
 use crate::math::Rgb;
 use crate::settings::TILE_SIZE;
+use serde::{Deserialize, Serialize};
 
 /// Bits of a value below the scale: values under 2⁻⁵⁶ of it are rounded to nearest.
 const BITS_BELOW: i32 = 56;
@@ -19,7 +20,7 @@ const BITS_ABOVE: i32 = 48;
 pub const BLOCK_VALUES: usize = (TILE_SIZE * TILE_SIZE) as usize * 3;
 
 /// Exact sums of splats: `planes` RGB images, all in scene units of radiance times the number of samples.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightImage {
     grid: TileGrid,
     planes: u32,
@@ -35,7 +36,7 @@ pub struct LightImage {
 }
 
 /// What Markov chains did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mutations {
     /// Large steps.
     pub large: u64,

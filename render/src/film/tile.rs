@@ -2,6 +2,7 @@
 
 use super::ChannelSet;
 use crate::settings::{Layer, TILE_SIZE};
+use serde::{Deserialize, Serialize};
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub struct TileRect {
 }
 
 /// How an image is cut into tiles, row by row from the top left.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileGrid {
     /// Image width in pixels.
     pub width: u32,
@@ -59,7 +60,7 @@ pub struct Tile {
 }
 
 /// The whole image.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Film {
     /// How it is cut.
     pub grid: TileGrid,

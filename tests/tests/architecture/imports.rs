@@ -34,7 +34,7 @@ const RENDER_MODULES: [(&str, &[&str]); 16] = [
 ];
 
 /// What `render` may depend on: no async, no network, no clock, no logging.
-const RENDER_DEPENDENCIES: [&str; 12] = [
+const RENDER_DEPENDENCIES: [&str; 13] = [
     "base64",
     "blake3",
     "bytemuck",
@@ -44,6 +44,7 @@ const RENDER_DEPENDENCIES: [&str; 12] = [
     "libm",
     "obvhs",
     "rayon",
+    "serde",
     "serde_json",
     "thiserror",
     "zune-jpeg",

@@ -2,7 +2,7 @@
 
 use super::*;
 use gatherlight_proto::message::BlobRef;
-use gatherlight_proto::types::Limit;
+use gatherlight_proto::types::{Limit, Limits};
 
 const BOOTSTRAP: BlobRef = BlobRef { digest: Digest([4; 32]), bytes: 24 };
 const LIMIT: Limits = Limits { time: Some(Duration::from_secs(60)), error: None };
@@ -13,7 +13,8 @@ fn rounds(count: u32, paths: u64, tiles: u32) -> Vec<Phase> {
 }
 fn submit(policy: Policy, phases: Vec<Phase>, limits: Limits) -> Bench {
     let mut bench = Bench::new(policy);
-    assert_eq!(bench.event(Event::Submitted { job: JOB, phases, limits }), []);
+    let terms = Box::new(Terms { limits, ..Terms::default() });
+    assert_eq!(bench.event(Event::Submitted { job: JOB, phases, terms }), []);
     bench
 }
 fn map(round: u32) -> MapRef {
@@ -233,7 +234,15 @@ fn a_round_begins_with_the_rates_and_the_photons_per_path_of_the_one_before() {
         let rate = if matches!(open.task, Task::Gather { .. }) { 10.0 } else { 1e6 };
         let busy = Duration::from_secs_f64(open.range.len() as f64 / rate);
         let (lease, attempt, range) = (open.id, open.attempt, open.range);
-        b.event(Event::Completed { worker: A, lease, attempt, range, busy, stored: range.len() });
+        b.event(Event::Completed {
+            worker: A,
+            lease,
+            attempt,
+            range,
+            busy,
+            stored: range.len(),
+            digest: Digest([9; 32]),
+        });
         b.event(built(0, map(0)));
         b.event(closed(0));
     }
@@ -284,7 +293,10 @@ fn rounds_out_of_order_or_without_an_end_make_no_job() {
         vec![gather(0), gather(1), emit(2), gather(2)],
     ];
     for phases in good {
-        assert!(Job::new(JOB, phases.clone(), LIMIT, seconds(0)).is_some(), "{phases:?}");
+        assert!(
+            Job::new(JOB, phases.clone(), Terms { limits: LIMIT, ..Terms::default() }, seconds(0)).is_some(),
+            "{phases:?}"
+        );
     }
     let bad = [
         vec![gather(1)],
@@ -301,7 +313,10 @@ fn rounds_out_of_order_or_without_an_end_make_no_job() {
         vec![gather(0), emit(1), gather(1), splat(1)],
     ];
     for phases in bad {
-        assert!(Job::new(JOB, phases.clone(), LIMIT, seconds(0)).is_none(), "{phases:?}");
+        assert!(
+            Job::new(JOB, phases.clone(), Terms { limits: LIMIT, ..Terms::default() }, seconds(0)).is_none(),
+            "{phases:?}"
+        );
     }
     assert!(job::closes_rounds(&rounds(2, 1, 1)) && job::closes_rounds(&[bootstrap, splat(0), splat(1)]));
     assert!(!job::closes_rounds(&rounds(1, 1, 1)) && !job::closes_rounds(&[bootstrap, splat(0)]));

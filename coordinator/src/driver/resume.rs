@@ -1,0 +1,153 @@
+//! A job that an earlier coordinator left goes on: what is kept of it → where it stood. Runs on the compute threads.
+
+use super::handle::{Built, Made};
+use super::job::{Spec, first_stats};
+use super::live::Live;
+use crate::intake;
+use crate::result;
+use crate::schedule::Saved;
+use crate::schedule::work::{Kind, Total};
+use crate::store::Store;
+use crate::store::journal::{SavedInput, SavedResult, SavedRounds, SavedWork};
+use crate::types::{JobId, JobStats, MapStats};
+use gatherlight_proto::Digest;
+use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
+use gatherlight_proto::payload::bootstrap;
+use gatherlight_proto::stored::{StoredJob, StoredRounds};
+use gatherlight_render::integrator::Bootstrap;
+use gatherlight_render::job::{Phase, PreparedJob};
+use gatherlight_render::photon::EmissionRange;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// A job, ready to go on.
+pub(crate) struct Resumed {
+    pub(super) spec: Spec,
+    pub(super) live: Live,
+    pub(super) saved: Saved,
+    /// Counts over the closed rounds, and by later round.
+    pub(super) kept: JobStats,
+    pub(super) later: BTreeMap<u32, JobStats>,
+    /// Entries that were of no use.
+    pub(super) damaged: usize,
+    /// What was kept is another version's.
+    pub(super) starts_anew: bool,
+}
+
+impl std::fmt::Debug for Resumed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Resumed").field("spec", &self.spec).finish_non_exhaustive()
+    }
+}
+
+/// Prepares a job again and takes in what is kept of it. Any part of that may be missing or damaged; then it is done again.
+///
+/// # Errors
+/// When the scene cannot be loaded, or the store cannot be read.
+pub(crate) fn resume(store: &Store, id: JobId, job: &StoredJob) -> Result<Box<Resumed>, String> {
+    let bundle = intake::load(store, &job.manifest).map_err(|e| e.to_string())?;
+    let prepared = Arc::new(PreparedJob::prepare(&bundle, &job.settings).map_err(|e| e.to_string())?);
+    let work = match store.journal() {
+        Some(journal) => journal.work(id).map_err(|e| format!("the coordinator's store failed: {e}"))?,
+        None => SavedWork::default(),
+    };
+    let spec = Spec {
+        name: job.name.clone(),
+        request_key: job.request_key,
+        limits: job.limits,
+        priority: job.priority,
+        owner: job.owner.clone(),
+        ..Spec::new(job.manifest.clone(), job.settings.clone(), prepared.clone())
+    };
+    let phases = prepared.phases();
+    let mut resumed = Box::new(Resumed {
+        kept: first_stats(&phases, &job.settings),
+        live: Live::new(&spec, phases, None),
+        spec,
+        saved: Saved::default(),
+        later: BTreeMap::new(),
+        damaged: work.damaged,
+        starts_anew: job.program != gatherlight_render::VERSION,
+    });
+    if !resumed.starts_anew {
+        resumed.take_in(work)?;
+    }
+    Ok(resumed)
+}
+
+impl Resumed {
+    fn take_in(&mut self, work: SavedWork) -> Result<(), String> {
+        if let Some(rounds) = work.rounds {
+            self.damaged += usize::from(self.rounds(&rounds).is_none());
+        }
+        for input in work.inputs {
+            self.damaged += usize::from(self.input(input).is_none());
+        }
+        for saved in work.results {
+            self.damaged += usize::from(self.result(saved)?.is_none());
+        }
+        self.live.light_sum().map_or(Ok(()), |sum| sum.add_waiting()).map_err(|e| e.to_string())
+    }
+
+    /// `None`: it is of no use.
+    fn rounds(&mut self, saved: &SavedRounds) -> Option<()> {
+        let StoredRounds { stats, gather_radii } = StoredRounds::decode(&saved.counts).ok()?;
+        let (noise, bias) = self.live.restore(&saved.film).ok()?;
+        self.saved.rounds = saved.rounds;
+        for phase in self.live.phases.iter().take_while(|p| p.round() < saved.rounds) {
+            self.saved.totals.entry(Kind::of(*phase)).or_default().units += phase.units();
+        }
+        for map in &stats.maps {
+            let total: &mut Total = self.saved.totals.entry(Kind::Emission(map.kind)).or_default();
+            total.stored = map.stored_count;
+        }
+        self.live.about.gather_radii = gather_radii;
+        self.kept = JobStats { noise, bias, ..stats };
+        Some(())
+    }
+
+    fn input(&mut self, saved: SavedInput) -> Option<()> {
+        let SavedInput { phase: index, stored, gather_radius, payload: bytes } = saved;
+        let phase = *self.live.phases.get(index)?;
+        let blob = BlobRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
+        let (input, made) = match phase {
+            Phase::Emission { map: kind, .. } => {
+                let BlobRef { digest, bytes } = blob;
+                (InputRef::Map(MapRef { kind, digest, bytes }), Made::Map { gather_radius })
+            }
+            Phase::Bootstrap { paths } => {
+                let luminances = bootstrap::decode(&bytes, EmissionRange { first: 0, end: paths }).ok()?;
+                (InputRef::Bootstrap(blob), Made::Bootstrap(Arc::new(Bootstrap::new(luminances))))
+            }
+            Phase::Gather { .. } | Phase::Splat { .. } => return None,
+        };
+        if let InputRef::Map(map) = input {
+            let radius = self.live.about.gather_radii.entry(map.kind).or_insert(0.0);
+            *radius = radius.max(gather_radius);
+            if phase.round() >= self.saved.rounds {
+                self.later.entry(phase.round()).or_default().add(&map_bytes(map));
+            }
+        }
+        self.saved.inputs.insert(index, (input, stored));
+        self.live.serve(phase.round(), Built { input, bytes, made });
+        Some(())
+    }
+
+    fn result(&mut self, saved: SavedResult) -> Result<Option<()>, String> {
+        let SavedResult { phase: index, range, busy, payload } = saved;
+        let Some(&phase) = self.live.phases.get(index) else { return Ok(None) };
+        let Ok(read) = result::read(&self.live.shape, phase, range, &payload) else { return Ok(None) };
+        if self.saved.add_result(&self.live.phases, index, range, read.stored()) {
+            let mut part = JobStats { busy, result_bytes: payload.len() as u64, ..JobStats::default() };
+            self.live.put_to_use(read, phase, &mut part)?;
+            self.later.entry(phase.round()).or_default().add(&part);
+        }
+        Ok(Some(()))
+    }
+}
+
+/// A map that was built, as a part of a job's counts.
+pub(super) fn map_bytes(map: MapRef) -> JobStats {
+    let map = MapStats { kind: map.kind, emitted_count: 0, emitted_total: 0, stored_count: 0, bytes: map.bytes };
+    JobStats { maps: vec![map], ..JobStats::default() }
+}
