@@ -6,6 +6,8 @@ pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
 pub mod processes;
+pub mod proxy;
+pub mod real_cluster;
 pub mod references;
 pub mod scenes;
 pub mod simulation;

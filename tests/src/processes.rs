@@ -53,6 +53,10 @@ impl Process {
         let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", self.0.id())]).status();
         assert!(sent.is_ok_and(|s| s.success()), "cannot send {name}");
     }
+    /// Its number.
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
     /// Waits for its end; returns the exit code, `None` after a signal.
     ///
     /// # Panics

@@ -336,7 +336,12 @@ impl World<'_> {
         let Some(w) = self.workers.get_mut(&worker) else { return };
         match command {
             Command::Assign { lease, .. } => w.queue.push(lease),
-            Command::Revoke { lease, .. } => w.queue.retain(|l| l.id != lease),
+            Command::Revoke { lease, .. } => {
+                if let Some(place) = w.queue.iter().position(|l| l.id == lease) {
+                    let Lease { id: lease, attempt, .. } = w.queue.remove(place);
+                    self.send(Event::Returned { worker, lease, attempt }, worker);
+                }
+            }
             Command::Forget { job, .. } => w.queue.retain(|l| l.job != job),
             _ => {}
         }

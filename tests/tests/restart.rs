@@ -1,70 +1,16 @@
 //! The real coordinator, killed with SIGKILL in each phase and started again on the same store: its jobs go on, clients that watch or
 //! submit come back, and the image has the same bits.
 
-use gatherlight::client::{Client, connect};
-use gatherlight::embedded;
 use gatherlight::types::{JobId, JobProgress, JobState};
 use gatherlight_render::settings::{Merge, Method, RenderSettings};
 use gatherlight_tests::cluster::{PATIENCE, finished_exr, request, watch_until};
-use gatherlight_tests::processes::{Process, serve_at, worker};
-use gatherlight_tests::{film_pixels_sha256, pixel_sha256, scene};
-use std::net::TcpListener;
-use tempfile::TempDir;
-
-/// A coordinator that can be started again at the same address, with two workers.
-struct Cluster {
-    store: TempDir,
-    address: String,
-    coordinator: Option<Process>,
-    _workers: [Process; 2],
-    client: Client,
-}
-
-/// An address of this machine that nobody listens on.
-fn free_address() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    listener.local_addr().expect("has an address").to_string()
-}
-
-impl Cluster {
-    async fn start() -> Self {
-        let (store, address) = (tempfile::tempdir().expect("a directory"), free_address());
-        let coordinator = serve_at(&address, store.path());
-        let url = format!("http://{address}");
-        let client = connect(&url, 5).await.unwrap_or_else(|e| panic!("{e}"));
-        let workers = ["first", "second"].map(|name| worker(&url, name));
-        Cluster { store, address, coordinator: Some(coordinator), _workers: workers, client }
-    }
-    fn kill(&mut self) {
-        self.coordinator.take().expect("runs").kill();
-    }
-    fn start_again(&mut self) {
-        self.coordinator = Some(serve_at(&self.address, self.store.path()));
-    }
-}
-
-fn settings(method: Method) -> RenderSettings {
-    let small = RenderSettings { method, width: 96, height: 80, k: 40, ..RenderSettings::default() };
-    match method {
-        Method::Progressive | Method::Vcm => {
-            RenderSettings { rounds: 24, photons: 40_000, caustic_photons: 40_000, ..small }
-        }
-        Method::Mlt => RenderSettings { mutations: 64, chains: 64, bootstrap: 200_000, ..small },
-        _ => RenderSettings { samples: 16, photons: 500_000, caustic_photons: 300_000, ..small },
-    }
-}
-
-fn right_pixels(settings: &RenderSettings) -> String {
-    let (bundle, settings) = (scene("caustic-ring.glb"), settings.clone());
-    let render = move || embedded::render(&bundle, &settings, &embedded::Config::default(), |_| {});
-    let result = std::thread::spawn(render).join().expect("did not panic").unwrap_or_else(|e| panic!("{e}"));
-    film_pixels_sha256(&result.film)
-}
+use gatherlight_tests::real_cluster::{RealCluster, right_pixels, settings};
+use gatherlight_tests::{pixel_sha256, scene};
 
 /// Kills the coordinator once `there` is seen of a job, starts it again, and checks the image. Returns the job's last snapshot
 /// before and the final one.
 async fn killed_in(settings: &RenderSettings, there: impl Fn(&JobProgress) -> bool) -> [JobProgress; 2] {
-    let mut cluster = Cluster::start().await;
+    let mut cluster = RealCluster::start(2).await;
     let bundle = scene("caustic-ring.glb");
     let submitted = cluster.client.submit(&request(&bundle, settings), |_, _| {}).await;
     let id = submitted.unwrap_or_else(|e| panic!("{e}"));
@@ -121,7 +67,7 @@ async fn in_bootstrap_and_amid_markov_chains() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn while_the_image_is_put_together_and_after_the_job_is_done() {
-    let mut cluster = Cluster::start().await;
+    let mut cluster = RealCluster::start(2).await;
     let settings = RenderSettings { samples: 1, photons: 1_000, caustic_photons: 0, ..settings(Method::Photon) };
     let request = request(&scene("caustic-ring.glb"), &settings);
     let id = cluster.client.submit(&request, |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
@@ -136,7 +82,7 @@ async fn while_the_image_is_put_together_and_after_the_job_is_done() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn again_and_again() {
-    let mut cluster = Cluster::start().await;
+    let mut cluster = RealCluster::start(2).await;
     let settings = RenderSettings { samples: 32, ..settings(Method::Photon) };
     let submit = request(&scene("caustic-ring.glb"), &settings);
     let id: JobId = cluster.client.submit(&submit, |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
@@ -151,7 +97,7 @@ async fn again_and_again() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_client_may_submit_while_no_coordinator_runs() {
-    let mut cluster = Cluster::start().await;
+    let mut cluster = RealCluster::start(2).await;
     cluster.kill();
     let settings = RenderSettings { samples: 1, photons: 1_000, caustic_photons: 0, ..settings(Method::Photon) };
     let (client, submit) = (cluster.client.clone(), request(&scene("caustic-ring.glb"), &settings));

@@ -157,7 +157,11 @@ impl Session {
                     out.push(give_back(&lease));
                 }
             }
-            ToWorker::Revoke(lease) => self.waiting.retain(|l| l.id != lease),
+            ToWorker::Revoke(lease) => {
+                // One that is computed already is answered with its result.
+                let place = self.waiting.iter().position(|l| l.id == lease);
+                out.extend(place.and_then(|i| self.waiting.remove(i)).map(|l| give_back(&l)));
+            }
             ToWorker::Forget(job) => {
                 self.waiting.retain(|l| l.job != job);
                 self.jobs.remove(&job);
@@ -265,7 +269,8 @@ mod tests {
     fn revoked_and_forgotten_leases_are_not_begun() {
         let mut s = ready();
         (1..=3).for_each(|id| drop(give(&mut s, id)));
-        s.handle(Input::Message(ToWorker::Revoke(LeaseId(2))));
+        assert_eq!(s.handle(Input::Message(ToWorker::Revoke(LeaseId(2)))), [returned(2)]);
+        assert_eq!(s.handle(Input::Message(ToWorker::Revoke(LeaseId(1)))), [], "it is computed");
         assert_eq!(s.handle(Input::Computed(LeaseId(1))), [begin(3)]);
         assert_eq!(s.handle(Input::Message(ToWorker::Forget(JobId(5)))), [Action::Forget(JobId(5))]);
         s.handle(Input::Computed(LeaseId(3)));

@@ -26,7 +26,8 @@ impl Scheduler {
             return;
         }
         for held in 0..self.policy.leases_per_worker {
-            let ready = self.workers.iter().filter(|(_, w)| !w.draining && w.leases.len() == held);
+            let ready =
+                self.workers.iter().filter(|(_, w)| !w.draining && w.behind.is_empty() && w.leases.len() == held);
             let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
             for worker in ready {
                 let assigned = has_work && self.assign(now, worker, out);

@@ -96,24 +96,22 @@ impl Scheduler {
             Event::Draining { worker } => self.draining(now, worker),
             Event::Completed { worker, lease, attempt, range, busy, stored, digest } => {
                 self.heard(now, worker);
-                if self.settled(worker, lease, attempt).is_some() {
-                    self.compare(worker, lease, digest, &mut out);
-                }
+                self.compare((worker, lease, attempt), digest, &mut out);
                 let result = Completed { range, busy, stored, digest };
                 self.completed((worker, lease, attempt), result, &mut out);
             }
             Event::Repeated { worker, lease, attempt, digest } => {
                 self.heard(now, worker);
-                if self.settled(worker, lease, attempt).is_some() {
-                    self.compare(worker, lease, digest, &mut out);
-                }
+                self.compare((worker, lease, attempt), digest, &mut out);
             }
             Event::TaskFailed { worker, lease, attempt, error } => {
                 self.heard(now, worker);
+                drop(self.answered(worker, lease, attempt));
                 self.failed((worker, lease, attempt), error, &mut out);
             }
             Event::Returned { worker, lease, attempt } => {
                 self.heard(now, worker);
+                drop(self.answered(worker, lease, attempt));
                 if self.is_open(worker, lease, attempt) {
                     self.take_back(lease, |_| {}, &mut out);
                 }
@@ -336,6 +334,10 @@ impl Scheduler {
         }
         self.turn.retain(|&j| j != job);
         self.revoke(job, out);
+        // Workers drop what waits there of a job that has ended, and say nothing.
+        for (lease, s) in self.settled.iter().filter(|(_, s)| s.open.lease.job == job) {
+            self.workers.entry(s.open.worker).and_modify(|w| drop(w.behind.remove(lease)));
+        }
         for (&worker, w) in &mut self.workers {
             if w.forget(job) {
                 out.push(Command::Forget { worker, job });
@@ -372,7 +374,7 @@ impl Scheduler {
             out.push(Command::Revoke { worker, lease });
             self.take_back(lease, |history| history.losses += 1, out);
         }
-        self.settled.retain(|_, s| now <= s.open.deadline);
+        self.forget_settled(now);
         self.fail_stuck(out);
         let jobs: Vec<JobId> = self.jobs.keys().copied().collect();
         jobs.into_iter().for_each(|job| self.advance(job, out));

@@ -65,20 +65,40 @@ impl Scheduler {
             && now.saturating_sub(open.opened).as_secs_f64() >= expected
     }
 
+    /// Whoever has not answered by the deadline never will.
+    pub(super) fn forget_settled(&mut self, now: Duration) {
+        for (lease, s) in self.settled.extract_if(.., |_, s| now > s.open.deadline) {
+            self.workers.entry(s.open.worker).and_modify(|w| drop(w.behind.remove(&lease)));
+        }
+    }
+
     /// The result of one of two twins counts: the other is not wanted any more.
     pub(super) fn settle(&mut self, won: &OpenLease, digest: Digest, out: &mut Vec<Command>) {
         let Some(open) = won.twin.and_then(|twin| self.leases.remove(&twin)) else { return };
         let (worker, lease) = (open.worker, open.lease.id);
         if let Some(w) = self.workers.get_mut(&worker) {
             w.leases.remove(&lease);
+            w.behind.insert(lease);
         }
         out.push(Command::Revoke { worker, lease });
         self.settled.insert(lease, Settled { open, winner: won.worker, digest });
     }
 
+    /// The slower worker has said what became of its lease; what was known of it.
+    pub(super) fn answered(&mut self, worker: WorkerId, lease: LeaseId, attempt: u32) -> Option<Settled> {
+        self.settled(worker, lease, attempt)?;
+        self.workers.entry(worker).and_modify(|w| drop(w.behind.remove(&lease)));
+        self.settled.remove(&lease)
+    }
+
     /// The slower twin's result came too: it has to be the same.
-    pub(super) fn compare(&mut self, worker: WorkerId, lease: LeaseId, digest: Digest, out: &mut Vec<Command>) {
-        let Some(settled) = self.settled.remove(&lease) else { return };
+    pub(super) fn compare(
+        &mut self,
+        (worker, lease, attempt): (WorkerId, LeaseId, u32),
+        digest: Digest,
+        out: &mut Vec<Command>,
+    ) {
+        let Some(settled) = self.answered(worker, lease, attempt) else { return };
         if settled.digest != digest {
             let Settled { open, winner, .. } = settled;
             let (job, range) = (open.lease.job, open.lease.range);

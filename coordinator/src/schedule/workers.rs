@@ -27,6 +27,8 @@ pub struct Worker {
     pub last_heard: Duration,
     /// Leases it holds.
     pub leases: BTreeSet<LeaseId>,
+    /// Leases it had whose twins were faster, and of which it has not been heard since: it gets no others before.
+    pub behind: BTreeSet<LeaseId>,
     /// Jobs it knows.
     pub prepared: BTreeSet<JobId>,
     /// Units per second, by kind of phase.
@@ -48,6 +50,7 @@ impl Worker {
             joined: now,
             last_heard: now,
             leases: BTreeSet::new(),
+            behind: BTreeSet::new(),
             prepared: BTreeSet::new(),
             rates: BTreeMap::new(),
             failed: BTreeMap::new(),

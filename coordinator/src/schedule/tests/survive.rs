@@ -42,6 +42,24 @@ fn an_idle_worker_repeats_an_old_lease_and_the_first_result_counts() {
 }
 
 #[test]
+fn a_worker_that_was_outrun_gets_nothing_before_it_is_heard_of_its_lease() {
+    let answers: [fn(&mut Bench) -> Vec<Command>; 3] = [
+        |b| completed(b, A, 1, 1, 9),
+        |b| b.event(Event::Returned { worker: A, lease: LeaseId(1), attempt: 1 }),
+        |b| b.event(Event::TaskFailed { worker: A, lease: LeaseId(1), attempt: 1, error: String::new() }),
+    ];
+    for answer in answers {
+        let (mut b, _) = slow_tail(seconds(2));
+        completed(&mut b, B, 2, 2, 9);
+        b.event(submitted(JobId(8), vec![Phase::Gather { round: 0, tiles: 2 }]));
+        let busy = b.scheduler.leases().map(|l| l.worker).collect::<Vec<_>>();
+        assert_eq!(busy, [B], "the other tile waits for somebody else");
+        let given: Vec<JobId> = answer(&mut b).into_iter().filter_map(assigned).collect();
+        assert_eq!(given, [JobId(8)]);
+    }
+}
+
+#[test]
 fn a_second_result_that_differs_is_reported() {
     for whole in [true, false] {
         let (mut b, _) = slow_tail(seconds(5));
