@@ -1,5 +1,6 @@
 //! How a worker runs. Nothing here can change an image.
 
+use crate::relay::Listen;
 use crate::shared::Shared;
 use gatherlight_proto::version::Versions;
 use std::time::Duration;
@@ -21,6 +22,8 @@ pub struct WorkerConfig {
     pub memory_bytes: u64,
     /// Failed attempts in a row before it gives up.
     pub max_attempts: u32,
+    /// Whether and where it listens for other workers.
+    pub relay: Listen,
     /// Versions it claims; tests claim others.
     pub versions: Versions,
     /// What is in this process already.
@@ -37,6 +40,7 @@ impl WorkerConfig {
             threads: 0,
             memory_bytes: DEFAULT_MEMORY_BYTES,
             max_attempts: DEFAULT_ATTEMPTS,
+            relay: Listen::Auto,
             versions: Versions::own(),
             shared: Shared::default(),
             faults: Faults::default(),
