@@ -53,6 +53,10 @@ impl Process {
         let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", self.0.id())]).status();
         assert!(sent.is_ok_and(|s| s.success()), "cannot send {name}");
     }
+    /// Its number.
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
     /// Waits for its end; returns the exit code, `None` after a signal.
     ///
     /// # Panics
@@ -74,7 +78,15 @@ impl Drop for Process {
 /// # Panics
 /// When it does not start.
 pub fn serve(store: &Path) -> (Process, String) {
-    spawn_coordinator("127.0.0.1:0", store)
+    spawn_coordinator("127.0.0.1:0", store, &[])
+}
+
+/// The same with further arguments.
+///
+/// # Panics
+/// When it does not start.
+pub fn serve_with(store: &Path, arguments: &[&str]) -> (Process, String) {
+    spawn_coordinator("127.0.0.1:0", store, arguments)
 }
 
 /// A coordinator at `address`.
@@ -82,12 +94,12 @@ pub fn serve(store: &Path) -> (Process, String) {
 /// # Panics
 /// When it does not start.
 pub fn serve_at(address: &str, store: &Path) -> Process {
-    spawn_coordinator(address, store).0
+    spawn_coordinator(address, store, &[]).0
 }
 
-fn spawn_coordinator(address: &str, store: &Path) -> (Process, String) {
+fn spawn_coordinator(address: &str, store: &Path, arguments: &[&str]) -> (Process, String) {
     let mut command = Command::new(program("gatherlight"));
-    command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store);
+    command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store).args(arguments);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
     let mut line = String::new();
     BufReader::new(child.stdout.take().expect("is piped")).read_line(&mut line).expect("says where it listens");

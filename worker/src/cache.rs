@@ -32,9 +32,12 @@ struct Held {
 }
 
 impl Held {
-    /// Drops maps that are not among those `wanted`: they are of a round that is over.
-    fn keep_only(&mut self, wanted: &[MapRef]) {
-        self.maps.retain(|&kind, (digest, _)| wanted.iter().any(|w| w.kind == kind && w.digest == *digest));
+    /// Drops maps that are not among those `wanted`, and returns their digests: they are of a round that is over.
+    fn keep_only(&mut self, wanted: &[MapRef]) -> Vec<Digest> {
+        let is_over = |kind: &MapKind, map: &mut (Digest, Arc<PhotonMap>)| {
+            !wanted.iter().any(|w| w.kind == *kind && w.digest == map.0)
+        };
+        self.maps.extract_if(.., is_over).map(|(_, (digest, _))| digest).collect()
     }
     fn photon_maps(&self) -> PhotonMaps {
         let map = |kind| self.maps.get(&kind).map(|(_, map)| map.clone());
@@ -98,7 +101,8 @@ impl Cache {
         remote: &Remote,
         executor: &Executor,
     ) -> Result<PhotonMaps, TaskError> {
-        self.jobs.entry(id).or_default().keep_only(wanted);
+        let over = self.jobs.entry(id).or_default().keep_only(wanted);
+        over.into_iter().for_each(|digest| remote.forget(digest));
         for &map in wanted {
             if self.jobs.get(&id).is_some_and(|j| j.maps.contains_key(&map.kind)) {
                 continue;

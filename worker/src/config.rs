@@ -2,6 +2,7 @@
 
 use crate::relay::Listen;
 use crate::shared::Shared;
+use gatherlight_proto::message::{Lease, Task};
 use gatherlight_proto::version::Versions;
 use std::time::Duration;
 
@@ -53,6 +54,10 @@ impl WorkerConfig {
 pub struct Faults {
     /// Waits this long before each task.
     pub delay: Duration,
+    /// Is slow: takes this much longer for each photon path.
+    pub per_path: Duration,
+    /// Is slow: takes this much longer for each tile.
+    pub per_tile: Duration,
     /// Vanishes, without a word, when it is given emission task number n (from 0).
     pub die_at_emission: Option<u64>,
     /// Vanishes when it is given bootstrap task number n (from 0).
@@ -67,4 +72,16 @@ pub struct Faults {
     pub corrupt: bool,
     /// Delivers every result twice.
     pub deliver_twice: bool,
+}
+
+impl Faults {
+    /// How much longer it takes for a lease.
+    pub(crate) fn slowness(&self, lease: &Lease) -> Duration {
+        let each = match lease.task {
+            Task::Emission { .. } => self.per_path,
+            Task::Gather { .. } => self.per_tile,
+            Task::Bootstrap | Task::Splat { .. } => Duration::ZERO,
+        };
+        each.mul_f64(lease.range.len() as f64)
+    }
 }

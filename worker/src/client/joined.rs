@@ -234,7 +234,11 @@ struct Tools {
 async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<Input>) {
     let id = lease.id;
     let (payload, busy) = match compute(&tools, &lease, &job).await {
-        Ok(result) => result,
+        Ok((payload, busy)) => {
+            let slowness = tools.faults.slowness(&lease);
+            tokio::time::sleep(slowness).await;
+            (payload, busy + slowness)
+        }
         Err(error) => {
             tracing::warn!(lease = id.0, %error, "task failed");
             drop(inputs.send(Input::ComputeFailed(id, error.to_string())).await);

@@ -68,6 +68,10 @@ impl Remote {
         };
         self.relay.fetch(what, blob, self.source.clone(), locate()).await
     }
+    /// The bytes of this payload are not needed here any more.
+    pub(crate) fn forget(&self, digest: Digest) {
+        self.relay.forget(digest);
+    }
     /// Takes in the way to a payload that will be read soon.
     pub(super) fn announce(&self, route: Route) {
         self.relay.announce(route, self.source.clone());

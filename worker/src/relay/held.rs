@@ -62,6 +62,11 @@ impl Held {
         let arriving: u64 = self.transfers.iter().filter(|t| !t.is_complete()).map(|t| t.blob().bytes).sum();
         arriving.saturating_add(bytes) <= self.memory_bytes / AHEAD_SHARE
     }
+    /// Drops this payload, and the way to it.
+    pub(super) fn forget(&mut self, digest: Digest) {
+        self.routes.remove(&digest);
+        self.transfers.retain(|t| t.blob().digest != digest);
+    }
     /// Drops the oldest payloads that are here until the rest is within its share. Who is reading one keeps it alive.
     pub(super) fn make_room(&mut self) {
         self.transfers.retain(|t| !t.is_failed());
@@ -127,5 +132,8 @@ mod tests {
         assert_eq!([mine, other].map(|t| held.admits(blob.digest, &t)), [Some(true), Some(false)]);
         held.forget_routes();
         assert_eq!(held.admits(blob.digest, &mine), None);
+        held.get_or_begin(blob);
+        held.forget(blob.digest);
+        assert!(held.get(blob.digest).is_none());
     }
 }

@@ -140,6 +140,10 @@ impl Relay {
             }
         }
     }
+    /// Drops a payload. Who is being sent it still gets it.
+    pub(crate) fn forget(&self, digest: Digest) {
+        self.lock().forget(digest);
+    }
     /// Forgets the routes of a session that is over; what has arrived stays.
     pub(crate) fn end_session(&self) {
         self.lock().forget_routes();
