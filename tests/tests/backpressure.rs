@@ -16,7 +16,7 @@ use gatherlight_render::job::PreparedJob;
 use gatherlight_render::photon::{EmissionRange, MapKind, PhotonBatch};
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::cluster::{PATIENCE, request};
-use gatherlight_tests::processes::{Process, serve_with};
+use gatherlight_tests::processes::{high_water, serve_with};
 use gatherlight_tests::scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -138,14 +138,7 @@ async fn peak(sessions: usize, room: &str, batch: &Arc<PhotonBatch>) -> (u64, f6
     }
     let seconds = begun.elapsed().as_secs_f64();
     open.iter().for_each(tokio::task::JoinHandle::abort);
-    (high_water(&coordinator), seconds)
-}
-
-/// The kernel's high-water mark of a process, in bytes.
-fn high_water(process: &Process) -> u64 {
-    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).expect("runs");
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).expect("is there");
-    line.trim().trim_end_matches(" kB").parse::<u64>().expect("a number") * 1024
+    (high_water(coordinator.id()).expect("runs"), seconds)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -30,15 +30,15 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint, Server};
 use tonic::{Code, Request, Response, Status};
 
-static RING: LazyLock<SceneBundle> = LazyLock::new(|| scene("caustic-ring.glb"));
+static BOX: LazyLock<SceneBundle> = LazyLock::new(|| scene("cornell-diffuse.glb"));
 
 /// Maps of several pieces.
 fn settings() -> RenderSettings {
-    RenderSettings { photons: 60_000, caustic_photons: 60_000, width: 48, height: 32, ..small_settings() }
+    RenderSettings { photons: 250_000, final_gather: 0, width: 48, height: 32, ..small_settings() }
 }
 
 static REFERENCE: LazyLock<String> = LazyLock::new(|| {
-    let render = || embedded::render(&RING, &settings(), &embedded::Config::default(), |_| {});
+    let render = || embedded::render(&BOX, &settings(), &embedded::Config::default(), |_| {});
     let result = std::thread::spawn(render).join().expect("did not panic").unwrap_or_else(|e| panic!("{e}"));
     film_pixels_sha256(&result.film)
 });
@@ -64,7 +64,7 @@ async fn workers(coordinator: &Coordinator, count: usize, relay: Listen) -> Vec<
 /// Runs the job, checks its image and returns what it cost.
 async fn run(coordinator: &Coordinator) -> JobProgress {
     let client = coordinator.client().await;
-    let id = client.submit(&request(&RING, &settings()), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
+    let id = client.submit(&request(&BOX, &settings()), |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
     let exr = finished_exr(&client, id).await;
     let reference = tokio::task::spawn_blocking(|| REFERENCE.as_str()).await.expect("did not panic");
     assert_eq!(pixel_sha256(&exr), reference);

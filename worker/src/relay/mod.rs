@@ -74,12 +74,12 @@ impl Relay {
     }
     /// Takes in the way to a payload, and begins to get it if there is room before it is needed.
     pub(crate) fn announce(&self, route: Route, coordinator: Client) {
+        // Begun before anybody may ask for it.
         let is_early = self.lock().has_room_ahead(route.blob.bytes);
-        self.lock().put_route(route.clone());
         if is_early {
-            drop(self.transfer(route, coordinator));
+            drop(self.transfer(route.clone(), coordinator));
         }
-        self.told.send_replace(());
+        self.told(route);
     }
     /// The payload, from here or by its route; `locate` asks for one that was not announced.
     ///
@@ -105,15 +105,19 @@ impl Relay {
                 if route.blob != blob {
                     return Err(failed(format!("it has {} bytes, not {}", route.blob.bytes, blob.bytes)));
                 }
-                self.lock().put_route(route.clone());
-                let transfer = self.transfer(route, coordinator);
-                self.told.send_replace(());
+                let transfer = self.transfer(route.clone(), coordinator);
+                self.told(route);
                 transfer
             }
         };
         let bytes = transfer.whole().await.map_err(failed)?;
         self.lock().make_room();
         Ok(bytes)
+    }
+    /// From now on others may ask for what `route` leads to.
+    fn told(&self, route: Route) {
+        self.lock().put_route(route);
+        self.told.send_replace(());
     }
     /// The transfer by `route`, which is begun unless it is here.
     fn transfer(&self, route: Route, coordinator: Client) -> Arc<Transfer> {
