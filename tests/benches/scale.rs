@@ -90,7 +90,8 @@ fn measure(method: Method) -> Rates {
         let photons = batch.len() as f64;
         let (encoded, encode) = timed(|| payload::photons::encode_batch(&batch));
         let directions = job.photon_directions(MapKind::Global);
-        let (decoded, decode) = timed(|| payload::photons::decode_batch(&encoded, range, directions).expect("is whole"));
+        let (decoded, decode) =
+            timed(|| payload::photons::decode_batch(&encoded, range, directions).expect("is whole"));
         let (map, build) = timed(|| {
             let mut merger = Merger::new(MapKind::Global, range);
             merger.insert(decoded).expect("is new");
@@ -136,7 +137,12 @@ fn jobs() -> Vec<Large> {
     let rounds = |round| [emission(round, PATHS / u64::from(ROUNDS)), gather(round)];
     vec![
         Large { title: "path", method: Method::Path, phases: vec![gather(0)], samples },
-        Large { title: "photon, one map", method: Method::Photon, phases: vec![emission(0, PATHS), gather(0)], samples },
+        Large {
+            title: "photon, one map",
+            method: Method::Photon,
+            phases: vec![emission(0, PATHS), gather(0)],
+            samples,
+        },
         Large {
             title: "progressive, 64 rounds",
             method: Method::Progressive,

@@ -74,7 +74,11 @@ enum Due {
     /// The host has sent a piece.
     Sent(usize),
     /// A piece of the stripe arrives at the host from another.
-    Arrives { host: usize, stripe: usize, index: u64 },
+    Arrives {
+        host: usize,
+        stripe: usize,
+        index: u64,
+    },
     Dies(usize),
     /// The host asks its next source for the rest of the stripe.
     Resumes(usize, usize),

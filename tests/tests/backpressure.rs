@@ -68,14 +68,14 @@ async fn deliver(client: &mut Client, session: u64, lease: Lease, batch: &Photon
         range: lease.range,
         busy: Duration::from_millis(1),
         bytes: payload.len() as u64,
+        digest: Digest::of(&payload),
     };
     let (requests, outbound) = mpsc::channel(1);
     requests.send(DeliverRequest { kind: Some(Kind::Header(header.into())) }).await.expect("is open");
     let mut replies = client.deliver(ReceiverStream::new(outbound)).await.expect("is taken").into_inner();
     let first = replies.message().await.expect("is answered").and_then(|r| r.kind);
     assert!(matches!(first, Some(deliver_reply::Kind::Proceed(_))), "{first:?}");
-    let digest = Digest::of(&payload);
-    for chunk in chunks(payload, digest) {
+    for chunk in chunks(payload, header.digest) {
         requests.send(DeliverRequest { kind: Some(Kind::Chunk(chunk)) }).await.expect("is open");
     }
     drop(requests);

@@ -87,6 +87,7 @@ async fn submissions_without_scene_blobs_or_sense_are_refused() {
         settings: Some(settings.clone()),
         request_key: vec![1; 16].into(),
         limits: None,
+        priority: 0,
     };
     let submit = async |request: wire::SubmitRequest| code(p.jobs.clone().submit(request).await);
     // All well but for the blob, which nobody uploaded.
@@ -133,18 +134,20 @@ async fn fetches_and_deliveries_without_a_session_get_nothing() {
     assert_eq!([pass(15, 0, 0).await, pass(16, 2, 2).await, pass(16, 0, 1).await], [Code::InvalidArgument; 3]);
 
     let data = bytes::Bytes::from_static(b"junk");
-    let header = wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6, bytes: 4 };
+    let digest = Digest::of(&data).to_bytes();
+    let header =
+        wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6, bytes: 4, digest };
     let request = |header| DeliverRequest { kind: Some(Kind::Header(header)) };
     let pieces: Vec<_> =
         chunks(data.clone(), Digest::of(&data)).map(|c| DeliverRequest { kind: Some(Kind::Chunk(c)) }).collect();
-    let all = [vec![request(header)], pieces.clone()].concat();
+    let all = [vec![request(header.clone())], pieces.clone()].concat();
     let mut replies = p.cluster.clone().deliver(tokio_stream::iter(all)).await.expect("is answered").into_inner();
     // Nothing is asked to be sent.
     let first = replies.message().await.expect("is answered").expect("is answered").kind;
     assert_eq!(first, Some(wire::deliver_reply::Kind::Receipt(wire::Receipt { accepted: false })));
     assert_eq!(replies.message().await.expect("ends well"), None);
     assert_eq!(code(p.cluster.clone().deliver(tokio_stream::iter(pieces)).await), Code::InvalidArgument);
-    let huge = request(wire::DeliverHeader { bytes: u64::MAX, ..header });
+    let huge = request(wire::DeliverHeader { bytes: u64::MAX, ..header.clone() });
     assert_eq!(code(p.cluster.clone().deliver(tokio_stream::iter([huge])).await), Code::ResourceExhausted);
 }
 

@@ -1,8 +1,8 @@
 //! `gatherlight-worker`: arguments → run → exit code.
 
 use clap::Parser;
-use gatherlight_worker::relay::Listen;
 use gatherlight_worker::config::{DEFAULT_ATTEMPTS, DEFAULT_MEMORY_BYTES};
+use gatherlight_worker::relay::Listen;
 use gatherlight_worker::{Connector, WorkerConfig, WorkerError, run};
 use std::net::SocketAddr;
 use std::process::ExitCode;

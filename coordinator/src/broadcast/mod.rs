@@ -113,7 +113,8 @@ mod tests {
         let mut broadcasts = Broadcasts::default();
         broadcasts.announce(BLOB, TICKET, members(3));
         let mut sources = |worker, relays, there: u64| {
-            let route = broadcasts.route(BLOB.digest, WorkerId(worker), relays, |w| w.0 < there).expect("was announced");
+            let route =
+                broadcasts.route(BLOB.digest, WorkerId(worker), relays, |w| w.0 < there).expect("was announced");
             route.sources
         };
         let only = |i: usize| [vec![members(3)[i].1], vec![members(3)[i].1]];

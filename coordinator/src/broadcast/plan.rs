@@ -80,7 +80,10 @@ mod tests {
                     assert_ne!(source, Some(place));
                 }
                 // Each loss next to the coordinator leaves it at most two halves more, in one of the trees.
-                assert!(asked <= STRIPES + 2 * lost.len(), "{asked} halves asked of the coordinator, {lost:?} of {count}");
+                assert!(
+                    asked <= STRIPES + 2 * lost.len(),
+                    "{asked} halves asked of the coordinator, {lost:?} of {count}"
+                );
             }
         }
     }

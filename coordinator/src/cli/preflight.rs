@@ -181,7 +181,17 @@ mod tests {
 
     fn worker(memory_bytes: u64) -> WorkerInfo {
         let (name, state, time) = (String::new(), String::new(), Duration::ZERO);
-        WorkerInfo { id: 1, name, threads: 1, memory_bytes, state, leases: 0, completed: 0, last_heard: time, joined: time }
+        WorkerInfo {
+            id: 1,
+            name,
+            threads: 1,
+            memory_bytes,
+            state,
+            leases: 0,
+            completed: 0,
+            last_heard: time,
+            joined: time,
+        }
     }
 
     #[test]

@@ -4,9 +4,9 @@ use super::job::Spec;
 use super::live::ClosedRound;
 use super::resume::Resumed;
 use crate::result::Shape;
-use crate::types::{JobId, JobProgress, WorkerInfo};
 use crate::room::Room;
 use crate::store::Store;
+use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{

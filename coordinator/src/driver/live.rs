@@ -49,6 +49,9 @@ struct LightParts {
     sum: Arc<LightSum>,
 }
 
+/// Tiles and splats that have to wait, with the memory they take.
+type Early = (Vec<Tile>, Option<LightImage>, Room);
+
 /// See the module.
 pub(super) struct Live {
     prepared: Arc<PreparedJob>,
@@ -67,7 +70,7 @@ pub(super) struct Live {
     bootstrap: Option<Arc<Bootstrap>>,
     film: FilmState,
     /// Results of rounds after the one in the making, or while that is being closed.
-    early: BTreeMap<u32, Vec<(Vec<Tile>, Option<LightImage>, Room)>>,
+    early: BTreeMap<u32, Vec<Early>>,
     light: Option<LightParts>,
     served: Vec<Served>,
     /// Bytes sent of what is not served any more.

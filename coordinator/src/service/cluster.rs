@@ -10,7 +10,8 @@ use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, WorkerId};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{
-    CoordinatorMessage, DeliverReply, DeliverRequest, LocateRequest, Proceed, Receipt, Route, WorkerMessage, deliver_reply,
+    CoordinatorMessage, DeliverReply, DeliverRequest, LocateRequest, Proceed, Receipt, Route, WorkerMessage,
+    deliver_reply,
 };
 use gatherlight_proto::{Digest, WireError};
 use std::net::SocketAddr;

@@ -33,7 +33,8 @@ fn policy() -> Policy {
 
 /// Workers that sleep, on this machine's coordinator; seconds of the job.
 fn real(workers: usize, prepared: &PreparedJob) -> f64 {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime");
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime");
     let store = tempfile::tempdir().expect("a directory");
     runtime.block_on(async {
         let coordinator = Coordinator::start(store.path(), policy()).await;

@@ -63,8 +63,7 @@ impl World<'_> {
     }
     /// Counts the bytes of a result and returns the microseconds after which it has arrived.
     pub(super) fn deliver_time(&mut self, task: &Task, units: u64) -> u64 {
-        let (photon, tile) =
-            self.conditions.costs.map_or(Costs::NOMINAL, |c| (c.photon_bytes, c.tile_bytes));
+        let (photon, tile) = self.conditions.costs.map_or(Costs::NOMINAL, |c| (c.photon_bytes, c.tile_bytes));
         let stored = self.stored(task, units) as f64;
         let bytes = match task {
             Task::Gather { .. } | Task::Splat { .. } => units as f64 * tile,

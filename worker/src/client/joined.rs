@@ -248,7 +248,8 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
     // From here on the next lease may be computed.
     drop(inputs.send(Input::Computed(id)).await);
     let (bytes, digest) = (payload.len() as u64, Digest::of(&payload));
-    let header = DeliverHeader { session: 0, lease: id, attempt: lease.attempt, range: lease.range, busy, bytes, digest };
+    let header =
+        DeliverHeader { session: 0, lease: id, attempt: lease.attempt, range: lease.range, busy, bytes, digest };
     let input = match deliver(&tools, header, payload).await {
         Ok(accepted) => {
             tracing::debug!(lease = id.0, accepted, "delivered");

@@ -86,7 +86,8 @@ impl Remote {
         let (requests, outbound) = mpsc::channel(1);
         let send = async |kind| requests.send(DeliverRequest { kind: Some(kind) }).await.is_ok();
         send(Kind::Header(header.into())).await;
-        let mut replies = self.client.clone().deliver(ReceiverStream::new(outbound)).await.map_err(failed)?.into_inner();
+        let mut replies =
+            self.client.clone().deliver(ReceiverStream::new(outbound)).await.map_err(failed)?.into_inner();
         if let Some(accepted) = receipt(replies.message().await.map_err(failed)?)? {
             return Ok(accepted);
         }

@@ -51,7 +51,11 @@ pub struct Relay {
 impl Relay {
     /// Nothing held, of a worker that may use `memory_bytes`.
     pub(crate) fn new(memory_bytes: u64, versions: Versions) -> Self {
-        Relay { held: Arc::new(Mutex::new(Held::new(memory_bytes))), told: watch::Sender::default(), peers: Peers::new(versions) }
+        Relay {
+            held: Arc::new(Mutex::new(Held::new(memory_bytes))),
+            told: watch::Sender::default(),
+            peers: Peers::new(versions),
+        }
     }
     /// Begins to listen for other workers; `coordinator` is where the coordinator is.
     ///

@@ -124,7 +124,9 @@ impl Transfer {
         match &*lock(&self.state) {
             State::Complete(bytes) => Piece::Here(bytes.slice(range)),
             State::Failed(reason) => Piece::Never(reason.clone()),
-            State::Arriving { buffer, there } if index / (STRIPES as u64) < there[(index % STRIPES as u64) as usize] => {
+            State::Arriving { buffer, there }
+                if index / (STRIPES as u64) < there[(index % STRIPES as u64) as usize] =>
+            {
                 Piece::Here(Bytes::copy_from_slice(&buffer[range]))
             }
             State::Arriving { .. } => Piece::NotYet,
