@@ -5,7 +5,9 @@ use crate::compute::Compute;
 use crate::driver::{Driver, DriverConfig, Handle, KeepImage, Sink, Spec};
 use crate::manifest;
 use crate::random::random_u64;
+use crate::room::Rooms;
 use crate::schedule::Policy;
+use crate::server::DEFAULT_RESULT_BYTES;
 use crate::service::{self, Context};
 use crate::store::Store;
 use crate::types::{JobId, JobProgress, JobResult, JobState, Limits};
@@ -148,7 +150,7 @@ async fn rendered(
     let spec = spec(bundle, prepared, config.limits);
     shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
     let job = driver.submit(spec).await.map_err(|e| RenderError::Refused(e.to_string()))?;
-    let context = Context { driver: driver.clone(), compute, store };
+    let context = Context { driver: driver.clone(), compute, store, rooms: Rooms::new(DEFAULT_RESULT_BYTES) };
     start_cluster(runtime, context, config, &shared).await;
     let last = follow(&driver, job, progress).await?;
     match last.state {

@@ -8,6 +8,7 @@
 //! What they report is in [`types`].
 
 mod assemble;
+pub mod broadcast;
 pub mod cli;
 pub mod client;
 pub mod compute;
@@ -21,6 +22,7 @@ mod random;
 mod reduce;
 pub mod report;
 mod result;
+mod room;
 pub mod schedule;
 pub mod server;
 mod service;

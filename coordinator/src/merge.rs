@@ -7,6 +7,7 @@ use gatherlight_proto::limits::MAX_MAP_BYTES;
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
 use gatherlight_proto::payload::bootstrap;
 use gatherlight_proto::payload::map::encode_map;
+use gatherlight_proto::pieces::Pieces;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::photon::merge::Merger;
@@ -31,13 +32,14 @@ pub(crate) fn build_map(
     if let Some(sink) = sink {
         let digest = Digest(map.digest());
         sink.offer_map(digest, map);
-        return Ok(Built { input: InputRef::Map(MapRef { kind, digest, bytes: 0 }), bytes: Bytes::new(), made });
+        return Ok(Built { input: InputRef::Map(MapRef { kind, digest, bytes: 0 }), encoded: None, made });
     }
     let encoded = encode_map(&map);
     drop(map);
     let bytes = sized(&format!("the {} map", kind.name()), &encoded, "emit fewer photons")?;
-    let map = MapRef { kind, digest: Digest::of(&encoded), bytes };
-    Ok(Built { input: InputRef::Map(map), bytes: encoded, made })
+    let encoded = Pieces::of(encoded);
+    let map = MapRef { kind, digest: encoded.list().digest(), bytes };
+    Ok(Built { input: InputRef::Map(map), encoded: Some(encoded), made })
 }
 
 /// Joins the luminances of bootstrap paths [0, `paths`), which came in pieces by first path, and hands them to `sink`
@@ -60,16 +62,16 @@ pub(crate) fn build_bootstrap(
     if luminances.len() as u64 != paths {
         return Err(format!("{} bootstrap paths of {paths} are there", luminances.len()));
     }
-    let encoded = bootstrap::encode(EmissionRange { first: 0, end: paths }, &luminances);
-    let digest = Digest::of(&encoded);
+    let encoded = Pieces::of(bootstrap::encode(EmissionRange { first: 0, end: paths }, &luminances));
+    let digest = encoded.list().digest();
     let joined = Arc::new(Bootstrap::new(luminances));
     let made = Made::Bootstrap(joined.clone());
     if let Some(sink) = sink {
         sink.offer_bootstrap(digest, joined);
-        return Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes: 0 }), bytes: Bytes::new(), made });
+        return Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes: 0 }), encoded: None, made });
     }
-    let bytes = sized("the bootstrap", &encoded, "trace fewer bootstrap paths")?;
-    Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes }), bytes: encoded, made })
+    let bytes = sized("the bootstrap", encoded.bytes(), "trace fewer bootstrap paths")?;
+    Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes }), encoded: Some(encoded), made })
 }
 
 /// The length of `encoded`, if it may be sent.
@@ -92,7 +94,7 @@ mod tests {
         let Made::Bootstrap(joined) = built.made else { panic!("is a bootstrap") };
         assert_eq!(joined.weights(), [1.0, 2.0, 3.0, 4.0, 5.0]);
         let all = EmissionRange { first: 0, end: 5 };
-        assert_eq!(bootstrap::decode(&built.bytes, all), Ok(vec![1.0, 2.0, 3.0, 4.0, 5.0]));
+        assert_eq!(bootstrap::decode(built.encoded.unwrap().bytes(), all), Ok(vec![1.0, 2.0, 3.0, 4.0, 5.0]));
         assert!(build_bootstrap(5, pieces(&[(0, &[1.0]), (2, &[3.0, 4.0, 5.0])]), None).is_err());
         assert!(build_bootstrap(5, pieces(&[(0, &[1.0])]), None).is_err());
         assert!(build_bootstrap(0, BTreeMap::new(), None).is_ok());

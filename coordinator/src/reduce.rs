@@ -1,5 +1,6 @@
 //! The reduce collective: the light images of all leases become their sum. Runs on the compute threads.
 
+use crate::room::Room;
 use gatherlight_render::film::LightImage;
 use gatherlight_render::film::light_image::Mismatch;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -7,8 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// The sum of a job's light images. Addition is exact, so neither the order nor the moment of it matters.
 #[derive(Debug)]
 pub(crate) struct LightSum {
-    /// Images that count and are not added yet.
-    waiting: Mutex<Vec<LightImage>>,
+    /// Images that count and are not added yet, with the memory they take.
+    waiting: Mutex<Vec<(LightImage, Room)>>,
     sum: Mutex<LightImage>,
 }
 
@@ -18,8 +19,8 @@ impl LightSum {
         LightSum { waiting: Mutex::default(), sum: Mutex::new(empty) }
     }
     /// Takes in an image that counts; costs nothing yet. [`LightSum::add_waiting`] is to be called some time after.
-    pub(crate) fn put(&self, image: LightImage) {
-        lock(&self.waiting).push(image);
+    pub(crate) fn put(&self, image: LightImage, room: Room) {
+        lock(&self.waiting).push((image, room));
     }
     /// Adds what has come in.
     ///
@@ -28,7 +29,7 @@ impl LightSum {
     pub(crate) fn add_waiting(&self) -> Result<(), Mismatch> {
         let mut sum = lock(&self.sum);
         loop {
-            let Some(image) = lock(&self.waiting).pop() else { return Ok(()) };
+            let Some((image, _room)) = lock(&self.waiting).pop() else { return Ok(()) };
             sum.add(&image)?;
         }
     }
@@ -71,17 +72,17 @@ mod tests {
                 let sum = &sum;
                 scope.spawn(move || {
                     for image in part {
-                        sum.put(image.clone());
+                        sum.put(image.clone(), Room::default());
                         sum.add_waiting().unwrap();
                     }
                 });
             }
         });
-        sum.put(images[0].clone());
+        sum.put(images[0].clone(), Room::default());
         expected.add(&images[0]).unwrap();
         assert_eq!(sum.finish(empty.clone()), Ok(expected));
         assert_eq!(sum.finish(empty.clone()), Ok(empty.clone()));
-        sum.put(LightImage::new(empty.grid(), 2, 1.0));
+        sum.put(LightImage::new(empty.grid(), 2, 1.0), Room::default());
         assert_eq!(sum.add_waiting(), Err(Mismatch));
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::compute::Compute;
 use crate::driver::{Driver, DriverConfig, KeepImage};
+use crate::room::Rooms;
 use crate::schedule::Policy;
 use crate::service::{self, Context};
 use crate::store::Store;
@@ -18,6 +19,9 @@ use tonic::transport::server::TcpIncoming;
 /// Time open streams have to end once shutdown has begun.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(2);
 
+/// Memory for results that are not merged yet, unless told otherwise.
+pub const DEFAULT_RESULT_BYTES: u64 = 1 << 30;
+
 /// Where and how a coordinator runs; cannot change an image.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
@@ -33,6 +37,8 @@ pub struct ServeConfig {
     pub max_live_jobs: usize,
     /// Most memory one job may need of the coordinator, by its plan.
     pub max_job_bytes: u64,
+    /// Most memory for results that have come in, or are coming, and are not merged yet; senders wait for room.
+    pub max_result_bytes: u64,
     /// The scheduler's constants.
     pub policy: Policy,
 }
@@ -47,6 +53,7 @@ impl ServeConfig {
             max_store_bytes: 64 << 30,
             max_live_jobs: 64,
             max_job_bytes: 16 << 30,
+            max_result_bytes: DEFAULT_RESULT_BYTES,
             policy: Policy::default(),
         }
     }
@@ -109,7 +116,8 @@ impl Server {
             sink: None,
         };
         let driver = Driver::start(driver_config, compute.clone(), store.clone());
-        Ok(Server { listener, address, context: Context { driver, compute, store } })
+        let rooms = Rooms::new(config.max_result_bytes);
+        Ok(Server { listener, address, context: Context { driver, compute, store, rooms } })
     }
     /// The bound address, with the true port.
     pub fn local_addr(&self) -> SocketAddr {

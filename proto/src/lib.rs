@@ -4,6 +4,7 @@
 //! - [`convert`]: the only place that turns wire into domain (`TryFrom`) and back (`From`);
 //! - [`payload`]: photon batches, maps and tiles as bytes;
 //! - [`chunk`]: bytes as a stream of bounded chunks, checked on arrival;
+//! - [`pieces`]: payloads in pieces that are checked one by one, for the broadcast;
 //! - [`stored`]: what the coordinator keeps of jobs in its store;
 //! - [`limits`]: what a peer may send at most.
 #![deny(unsafe_code)]
@@ -16,6 +17,7 @@ pub mod error;
 pub mod limits;
 pub mod message;
 pub mod payload;
+pub mod pieces;
 pub mod stored;
 pub mod types;
 pub mod version;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 /// Version of messages and payload layouts; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 4;
+pub const PROTOCOL_VERSION: u32 = 5;
 /// Metadata key of the sender's [`PROTOCOL_VERSION`].
 pub const PROTOCOL_KEY: &str = "gatherlight-protocol";
 /// Metadata key of the sender's program version.
@@ -12,6 +12,12 @@ pub const VERSION_KEY: &str = "gatherlight-version";
 /// Payload bytes in one chunk: well under gRPC's default message limit of 4 MiB, large enough that the cost per
 /// message does not show.
 pub const CHUNK_BYTES: usize = 2 << 20;
+/// Smallest piece of a broadcast: what arrives is passed on after so many bytes, and each costs a message.
+pub const MIN_PIECE_BYTES: u64 = 256 << 10;
+/// Most pieces of a payload, whose list of 32 bytes each has to fit into one message; larger payloads have larger pieces.
+pub const MAX_PIECES: u64 = 1 << 15;
+/// Most workers to ask for a stripe before the coordinator.
+pub const MAX_SOURCES: usize = 4;
 /// Largest message either side decodes: a chunk and its frame, or a long listing.
 pub const MAX_MESSAGE_BYTES: usize = CHUNK_BYTES + (64 << 10);
 /// Largest result of one lease. Leases are cut far below it.

@@ -1,9 +1,12 @@
 //! What coordinator and workers say to each other, as domain types.
 
 use crate::digest::Digest;
+use crate::pieces::STRIPES;
 use crate::types::JobId;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::RenderSettings;
+use std::fmt;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 /// Names a lease for ever.
@@ -32,6 +35,16 @@ pub enum InputRef {
     Map(MapRef),
     /// The joined bootstrap.
     Bootstrap(BlobRef),
+}
+
+impl InputRef {
+    /// As it is fetched.
+    pub fn blob(&self) -> BlobRef {
+        match *self {
+            InputRef::Map(map) => BlobRef { digest: map.digest, bytes: map.bytes },
+            InputRef::Bootstrap(blob) => blob,
+        }
+    }
 }
 
 /// What to do with a lease's indices.
@@ -119,6 +132,59 @@ pub struct Hello {
     pub threads: u32,
     /// Memory it may use, in bytes.
     pub memory_bytes: u64,
+    /// Where it listens for other workers; `None`: it does not relay.
+    pub relay: Option<RelayAddress>,
+}
+
+/// Where a worker listens for other workers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RelayAddress {
+    /// The address.
+    pub address: SocketAddr,
+    /// Its user gave it; otherwise it holds only where the worker is seen to connect from that address, and is not behind NAT.
+    pub given: bool,
+}
+
+/// Lets its holder have one payload, from the coordinator or from any worker that relays it. Not a session's secret, since
+/// workers show it to each other.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct PassTicket(pub [u8; 16]);
+
+impl PassTicket {
+    /// Whether it is `other`, in a time that does not tell where they differ.
+    pub fn is(&self, other: &PassTicket) -> bool {
+        self.0.iter().zip(other.0).fold(0, |all, (a, b)| all | (a ^ b)) == 0
+    }
+}
+
+impl fmt::Debug for PassTicket {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PassTicket(…)")
+    }
+}
+
+/// From whom a worker gets a payload.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// The payload.
+    pub blob: BlobRef,
+    /// What to show.
+    pub ticket: PassTicket,
+    /// For each stripe, workers to ask, in this order; after them the coordinator.
+    pub sources: [Vec<SocketAddr>; STRIPES],
+}
+
+/// What a worker asks of a relay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PassRequest {
+    /// The payload.
+    pub digest: Digest,
+    /// From its [`Route`].
+    pub ticket: PassTicket,
+    /// The stripe, below [`STRIPES`].
+    pub stripe: usize,
+    /// First piece wanted.
+    pub first: u64,
 }
 
 /// From a worker.
@@ -155,7 +221,7 @@ pub enum ToWorker {
     Welcome {
         /// The session's number.
         worker: WorkerId,
-        /// The session's secret name, for fetches and deliveries.
+        /// The session's secret name, to locate and deliver.
         session: u64,
         /// Time between heartbeats.
         heartbeat: Duration,
@@ -175,6 +241,8 @@ pub enum ToWorker {
     Revoke(LeaseId),
     /// The job has ended.
     Forget(JobId),
+    /// This will be read soon: begin to get it, and to pass it on.
+    Route(Route),
 }
 
 /// What comes before a result's bytes.
@@ -190,4 +258,8 @@ pub struct DeliverHeader {
     pub range: EmissionRange,
     /// Time spent computing.
     pub busy: Duration,
+    /// Length of the result in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the result.
+    pub digest: Digest,
 }

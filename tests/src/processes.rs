@@ -73,12 +73,27 @@ impl Drop for Process {
     }
 }
 
+/// The most resident memory that the process of this number ever had, in bytes: the kernel's high-water mark.
+pub fn high_water(id: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let kib = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse().ok());
+    kib.map(|k: u64| k * 1024)
+}
+
 /// A coordinator on a free port; returns its URL as well.
 ///
 /// # Panics
 /// When it does not start.
 pub fn serve(store: &Path) -> (Process, String) {
-    spawn_coordinator("127.0.0.1:0", store)
+    spawn_coordinator("127.0.0.1:0", store, &[])
+}
+
+/// The same with further arguments.
+///
+/// # Panics
+/// When it does not start.
+pub fn serve_with(store: &Path, arguments: &[&str]) -> (Process, String) {
+    spawn_coordinator("127.0.0.1:0", store, arguments)
 }
 
 /// A coordinator at `address`.
@@ -86,12 +101,12 @@ pub fn serve(store: &Path) -> (Process, String) {
 /// # Panics
 /// When it does not start.
 pub fn serve_at(address: &str, store: &Path) -> Process {
-    spawn_coordinator(address, store).0
+    spawn_coordinator(address, store, &[]).0
 }
 
-fn spawn_coordinator(address: &str, store: &Path) -> (Process, String) {
+fn spawn_coordinator(address: &str, store: &Path, arguments: &[&str]) -> (Process, String) {
     let mut command = Command::new(program("gatherlight"));
-    command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store);
+    command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store).args(arguments);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
     let mut line = String::new();
     BufReader::new(child.stdout.take().expect("is piped")).read_line(&mut line).expect("says where it listens");

@@ -1,6 +1,9 @@
 //! A virtual cluster around the real scheduler: virtual workers, network and clock, all drawn from one seed.
 
 mod checks;
+mod costs;
+
+pub use costs::Costs;
 
 use checks::Counted;
 use gatherlight::schedule::job::Done;
@@ -53,6 +56,12 @@ pub struct Conditions {
     pub delay: u64,
     /// Whether jobs may end as failed.
     pub may_fail: bool,
+    /// What things cost, where the run is to be timed.
+    pub costs: Option<Costs>,
+    /// The scheduler's constants.
+    pub policy: Policy,
+    /// Phases of every job, instead of some drawn at random.
+    pub phases: Vec<Phase>,
 }
 
 impl Conditions {
@@ -74,6 +83,9 @@ impl Conditions {
             repeat: 0.0,
             delay: 1_000,
             may_fail: false,
+            costs: None,
+            policy: Policy::default(),
+            phases: Vec::new(),
         }
     }
     /// Everything goes wrong now and then.
@@ -109,6 +121,10 @@ pub struct Report {
     pub idle_fraction: f64,
     /// Virtual microseconds until the last job ended.
     pub elapsed: u64,
+    /// Bytes of results sent by workers.
+    pub result_bytes: u64,
+    /// Bytes of maps, counted once each.
+    pub broadcast_bytes: u64,
 }
 
 /// SplitMix64 (Steele, Lea and Flood 2014).
@@ -181,6 +197,10 @@ struct World<'c> {
     report: Report,
     first_lease: Option<u64>,
     capacity: u64,
+    /// Until when the coordinator's link is busy receiving.
+    received_until: u64,
+    /// When the maps of a round are at all workers.
+    maps_ready: BTreeMap<(JobId, u32), u64>,
 }
 
 /// Runs one cluster until all its jobs have ended.
@@ -195,7 +215,7 @@ pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
         now: 0,
         agenda: BinaryHeap::new(),
         next_entry: 0,
-        scheduler: Scheduler::new(Policy::default()),
+        scheduler: Scheduler::new(conditions.policy.clone()),
         workers: BTreeMap::new(),
         last_worker: 0,
         to_worker: BTreeMap::new(),
@@ -208,6 +228,8 @@ pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
         report: Report { seed, jobs: conditions.jobs, ..Report::default() },
         first_lease: None,
         capacity: 0,
+        received_until: 0,
+        maps_ready: BTreeMap::new(),
     };
     world.populate();
     while world.report.elapsed == 0 {
@@ -222,6 +244,12 @@ pub fn simulate(seed: u64, conditions: &Conditions) -> Report {
 impl World<'_> {
     fn populate(&mut self) {
         for i in 0..self.conditions.jobs {
+            if !self.conditions.phases.is_empty() {
+                self.phases.push(self.conditions.phases.clone());
+                self.open.insert(JobId(i as u64));
+                self.plan(0, Due::Submit(i));
+                continue;
+            }
             let paths = |r: &mut Random, most| r.below(most) + most / 8;
             let (global, caustic) = (paths(&mut self.random, self.conditions.paths), self.conditions.paths / 3);
             let tiles = self.random.below(u64::from(self.conditions.tiles)) as u32 + self.conditions.tiles / 4 + 1;
@@ -251,7 +279,7 @@ impl World<'_> {
         }
         for i in 0..self.conditions.workers {
             let speed = 5_000 << self.random.below(5);
-            let at = self.random.below(2_000_000);
+            let at = if self.conditions.costs.is_some() { 0 } else { self.random.below(2_000_000) };
             self.plan(at, Due::Join { speed, broken: i < self.conditions.broken_workers });
         }
         self.plan(0, Due::Tick);
@@ -268,11 +296,16 @@ impl World<'_> {
 
     /// Sends an event to the scheduler. A lost message takes its connection along.
     fn send(&mut self, event: Event, worker: WorkerId) {
+        self.send_after(0, event, worker);
+    }
+
+    /// The same, with bytes that take `time` to arrive.
+    fn send_after(&mut self, time: u64, event: Event, worker: WorkerId) {
         if self.random.chance(self.conditions.lose) {
             return self.disconnect(worker);
         }
         let number = self.next_entry;
-        let at = self.now + self.delay();
+        let at = self.now + time + self.delay();
         self.to_scheduler.insert(number, event);
         self.plan(at, Due::Report(number));
     }
@@ -353,8 +386,9 @@ impl World<'_> {
         if w.computing.is_some() || w.queue.is_empty() {
             return;
         }
-        let lease = w.queue.remove(0);
-        let time = cost(&lease.task) * lease.range.len() * 1_000_000 / w.speed + 1;
+        let (lease, speed) = (w.queue.remove(0), w.speed);
+        let (time, waits) = (self.compute_time(&lease, speed), self.ready_at(&lease).saturating_sub(self.now));
+        let Some(w) = self.workers.get_mut(&worker) else { return };
         w.busy += time;
         w.computing = Some(lease);
         if self.random.chance(self.conditions.crash) {
@@ -365,24 +399,26 @@ impl World<'_> {
             w.stalled_until = self.now + stall;
         }
         self.first_lease.get_or_insert(self.now);
-        self.plan(self.now + time + stall, Due::Compute(worker));
+        self.plan(self.now + waits + time + stall, Due::Compute(worker));
     }
 
     fn computed(&mut self, worker: WorkerId) {
         let Some(w) = self.workers.get_mut(&worker) else { return };
-        let Some(Lease { id: lease, attempt, range, task, .. }) = w.computing.take() else { return };
+        let Some(done) = w.computing.take() else { return };
         let (broken, speed) = (w.broken, w.speed);
+        let busy = Duration::from_micros(self.compute_time(&done, speed));
+        let Lease { id: lease, attempt, range, task, .. } = done;
         if broken || self.random.chance(self.conditions.fail) {
             let error = "virtual failure".to_owned();
             self.send(Event::TaskFailed { worker, lease, attempt, error }, worker);
         } else {
-            let busy = Duration::from_micros(range.len() * cost(&task) * 1_000_000 / speed + 1);
-            let stored = range.len() / 2;
+            let stored = self.stored(&task, range.len());
+            let time = self.deliver_time(&task, range.len());
             let done = Event::Completed { worker, lease, attempt, range, busy, stored, digest: Digest([0; 32]) };
             if self.random.chance(self.conditions.repeat) {
-                self.send(done.clone(), worker);
+                self.send_after(time, done.clone(), worker);
             }
-            self.send(done, worker);
+            self.send_after(time, done, worker);
         }
         self.begin(worker);
     }
@@ -410,7 +446,8 @@ impl World<'_> {
                 Command::Retire { job, round } => self.assert_round_complete(*job, *round),
                 Command::Assemble { job, done } => {
                     self.made_of.insert(*job, *done);
-                    let at = self.now + self.delay();
+                    let time = self.conditions.costs.map_or(0, |c| costs::micros(c.close));
+                    let at = self.now + time + self.delay();
                     let number = self.next_entry;
                     self.to_scheduler.insert(number, Event::Assembled { job: *job });
                     self.plan(at, Due::Report(number));

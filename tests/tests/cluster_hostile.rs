@@ -8,6 +8,7 @@ use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::cluster_client::ClusterClient;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::jobs_client::JobsClient;
+use gatherlight_proto::wire::relay_client::RelayClient;
 use gatherlight_proto::wire::{self, Chunk, DeliverRequest, WorkerMessage};
 use gatherlight_tests::cluster::{Coordinator, PATIENCE, small_leases};
 use tonic::service::interceptor::InterceptedService;
@@ -20,6 +21,7 @@ struct Peer {
     _store: tempfile::TempDir,
     coordinator: Coordinator,
     cluster: ClusterClient<Stamped>,
+    relay: RelayClient<Stamped>,
     jobs: JobsClient<Stamped>,
 }
 
@@ -32,6 +34,7 @@ async fn peer() -> Peer {
         _store: store,
         coordinator,
         cluster: ClusterClient::with_interceptor(channel.clone(), stamp.clone()),
+        relay: RelayClient::with_interceptor(channel.clone(), stamp.clone()),
         jobs: JobsClient::with_interceptor(channel, stamp),
     }
 }
@@ -84,6 +87,7 @@ async fn submissions_without_scene_blobs_or_sense_are_refused() {
         settings: Some(settings.clone()),
         request_key: vec![1; 16].into(),
         limits: None,
+        priority: 0,
     };
     let submit = async |request: wire::SubmitRequest| code(p.jobs.clone().submit(request).await);
     // All well but for the blob, which nobody uploaded.
@@ -109,29 +113,42 @@ async fn sessions_that_begin_wrongly_are_refused() {
     assert_eq!(join(vec![WorkerMessage { kind: None }]).await, Code::InvalidArgument);
     let heartbeat = message(wire::worker_message::Kind::Heartbeat(wire::Heartbeat {}));
     assert_eq!(join(vec![heartbeat]).await, Code::InvalidArgument);
-    let hello = wire::Hello { name: "n".into(), threads: 0, memory_bytes: 1 };
+    let hello = wire::Hello { name: "n".into(), threads: 0, memory_bytes: 1, relay: None };
     assert_eq!(join(vec![message(wire::worker_message::Kind::Hello(hello))]).await, Code::InvalidArgument);
-    let hello = wire::Hello { name: "n".repeat(10_000), threads: 1, memory_bytes: 1 };
+    let hello = wire::Hello { name: "n".repeat(10_000), threads: 1, memory_bytes: 1, relay: None };
     assert_eq!(join(vec![message(wire::worker_message::Kind::Hello(hello))]).await, Code::ResourceExhausted);
 }
 
 #[tokio::test]
 async fn fetches_and_deliveries_without_a_session_get_nothing() {
     let p = peer().await;
-    let request = wire::FetchRequest { session: 12345, digest: Digest([7; 32]).to_bytes() };
-    assert_eq!(code(p.cluster.clone().fetch(request).await), Code::NotFound);
-    let request = wire::FetchRequest { session: 12345, digest: vec![7; 5].into() };
-    assert_eq!(code(p.cluster.clone().fetch(request).await), Code::InvalidArgument);
+    let request = wire::LocateRequest { session: 12345, digest: Digest([7; 32]).to_bytes() };
+    assert_eq!(code(p.cluster.clone().locate(request).await), Code::NotFound);
+    let request = wire::LocateRequest { session: 12345, digest: vec![7; 5].into() };
+    assert_eq!(code(p.cluster.clone().locate(request).await), Code::InvalidArgument);
+    let pass = async |ticket: usize, stripe, first| {
+        let (digest, ticket) = (Digest([7; 32]).to_bytes(), vec![1; ticket].into());
+        code(p.relay.clone().pass(wire::PassRequest { digest, ticket, stripe, first }).await)
+    };
+    assert_eq!(pass(16, 0, 0).await, Code::NotFound);
+    assert_eq!([pass(15, 0, 0).await, pass(16, 2, 2).await, pass(16, 0, 1).await], [Code::InvalidArgument; 3]);
 
     let data = bytes::Bytes::from_static(b"junk");
-    let header = wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6 };
-    let header = DeliverRequest { kind: Some(Kind::Header(header)) };
+    let digest = Digest::of(&data).to_bytes();
+    let header =
+        wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6, bytes: 4, digest };
+    let request = |header| DeliverRequest { kind: Some(Kind::Header(header)) };
     let pieces: Vec<_> =
         chunks(data.clone(), Digest::of(&data)).map(|c| DeliverRequest { kind: Some(Kind::Chunk(c)) }).collect();
-    let all = [vec![header], pieces.clone()].concat();
-    let receipt = p.cluster.clone().deliver(tokio_stream::iter(all)).await.expect("is answered").into_inner();
-    assert!(!receipt.accepted);
+    let all = [vec![request(header.clone())], pieces.clone()].concat();
+    let mut replies = p.cluster.clone().deliver(tokio_stream::iter(all)).await.expect("is answered").into_inner();
+    // Nothing is asked to be sent.
+    let first = replies.message().await.expect("is answered").expect("is answered").kind;
+    assert_eq!(first, Some(wire::deliver_reply::Kind::Receipt(wire::Receipt { accepted: false })));
+    assert_eq!(replies.message().await.expect("ends well"), None);
     assert_eq!(code(p.cluster.clone().deliver(tokio_stream::iter(pieces)).await), Code::InvalidArgument);
+    let huge = request(wire::DeliverHeader { bytes: u64::MAX, ..header.clone() });
+    assert_eq!(code(p.cluster.clone().deliver(tokio_stream::iter([huge])).await), Code::ResourceExhausted);
 }
 
 #[tokio::test]

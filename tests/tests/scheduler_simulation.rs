@@ -37,6 +37,38 @@ fn under_loss_delay_duplication_and_reordering_every_index_counts_once() {
     }
 }
 
+/// 1 to 1,000 workers, evenly in the logarithm.
+fn crowd(seed: u64) -> usize {
+    1_000_f64.powf((seed * 7_919 % 1_000) as f64 / 999.0).round() as usize
+}
+
+#[test]
+fn from_one_to_a_thousand_workers_every_index_counts_once_in_any_weather() {
+    let reports = all(|seed| {
+        let workers = crowd(seed);
+        // Some leases for each, and not many more.
+        let (paths, tiles) = (100_000 + 20_000 * workers as u64, 50 + 4 * workers as u32);
+        Conditions { workers, paths, tiles, jobs: 1 + seed as usize % 2, ..Conditions::stormy() }
+    });
+    if reports.len() > 1 {
+        for decade in [1..10, 10..100, 100..1_001] {
+            let of: Vec<&Report> = reports.iter().filter(|r| decade.contains(&crowd(r.seed))).collect();
+            let mean = |f: &dyn Fn(&Report) -> f64| of.iter().map(|r| f(r)).sum::<f64>() / of.len() as f64;
+            println!(
+                "{decade:?} workers, {} runs: idle {:.2}, results {:.1} MB, maps {:.1} MB, {:.1} leases again, {:.1} discarded",
+                of.len(),
+                mean(&|r| r.idle_fraction),
+                mean(&|r| r.result_bytes as f64 * 1e-6),
+                mean(&|r| r.broadcast_bytes as f64 * 1e-6),
+                mean(&|r| r.retried as f64),
+                mean(&|r| r.discarded as f64)
+            );
+            assert!(of.len() > 50 && of.iter().all(|r| r.result_bytes > 0));
+        }
+        assert!(reports.iter().map(|r| r.crashes).sum::<u64>() > SEEDS);
+    }
+}
+
 #[test]
 fn workers_that_fail_everything_are_set_aside_and_the_others_finish() {
     all(|seed| Conditions { workers: 6, broken_workers: 1 + seed as usize % 2, ..Conditions::fair() });

@@ -1,12 +1,11 @@
-//! What a worker holds: prepared scenes, bootstraps and the present round's maps of the present jobs, and scene files by digest
-//! for the next ones.
+//! What a worker holds to compute with: prepared scenes, bootstraps and the present round's maps of the present jobs. Their bytes
+//! are the relay's.
 
 use crate::client::Remote;
 use crate::error::TaskError;
 use crate::executor::Executor;
 use crate::session::Announced;
 use crate::shared::Shared;
-use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
 use gatherlight_proto::message::{BlobRef, MapRef};
@@ -17,11 +16,9 @@ use gatherlight_render::import::SceneBundle;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PhotonMap, PhotonMaps, PreparedJob};
 use gatherlight_render::photon::{EmissionRange, MapKind};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Part of a worker's memory for scene files that no present job needs any more.
-const BLOB_SHARE: u64 = 4;
 /// Bytes of memory a photon takes at least, to bound what a map may claim to hold.
 const MIN_PHOTON_BYTES: u64 = 16;
 
@@ -35,9 +32,12 @@ struct Held {
 }
 
 impl Held {
-    /// Drops maps that are not among those `wanted`: they are of a round that is over.
-    fn keep_only(&mut self, wanted: &[MapRef]) {
-        self.maps.retain(|&kind, (digest, _)| wanted.iter().any(|w| w.kind == kind && w.digest == *digest));
+    /// Drops maps that are not among those `wanted`, and returns their digests: they are of a round that is over.
+    fn keep_only(&mut self, wanted: &[MapRef]) -> Vec<Digest> {
+        let is_over = |kind: &MapKind, map: &mut (Digest, Arc<PhotonMap>)| {
+            !wanted.iter().any(|w| w.kind == *kind && w.digest == map.0)
+        };
+        self.maps.extract_if(.., is_over).map(|(_, (digest, _))| digest).collect()
     }
     fn photon_maps(&self) -> PhotonMaps {
         let map = |kind| self.maps.get(&kind).map(|(_, map)| map.clone());
@@ -50,21 +50,18 @@ pub struct Cache {
     memory_bytes: u64,
     shared: Shared,
     jobs: BTreeMap<JobId, Held>,
-    /// Scene files, the latest used last.
-    blobs: VecDeque<(Digest, Bytes)>,
-    blob_bytes: u64,
 }
 
 impl Cache {
     /// An empty cache of a worker that may use `memory_bytes` beside what is `shared`.
     pub fn new(memory_bytes: u64, shared: Shared) -> Self {
-        Cache { memory_bytes, shared, jobs: BTreeMap::new(), blobs: VecDeque::new(), blob_bytes: 0 }
+        Cache { memory_bytes, shared, jobs: BTreeMap::new() }
     }
     /// Drops what is held for a job.
     pub fn forget(&mut self, job: JobId) {
         self.jobs.remove(&job);
     }
-    /// Drops what is held for all jobs; scene files stay.
+    /// Drops what is held for all jobs.
     pub fn forget_all(&mut self) {
         self.jobs.clear();
     }
@@ -104,7 +101,8 @@ impl Cache {
         remote: &Remote,
         executor: &Executor,
     ) -> Result<PhotonMaps, TaskError> {
-        self.jobs.entry(id).or_default().keep_only(wanted);
+        let over = self.jobs.entry(id).or_default().keep_only(wanted);
+        over.into_iter().for_each(|digest| remote.forget(digest));
         for &map in wanted {
             if self.jobs.get(&id).is_some_and(|j| j.maps.contains_key(&map.kind)) {
                 continue;
@@ -168,37 +166,15 @@ impl Cache {
         let decoded = executor.run(move || decode_map(&bytes, map.kind, max_photons)).await??;
         Ok(Arc::new(decoded))
     }
-    async fn bundle(&mut self, job: &Announced, remote: &Remote) -> Result<SceneBundle, TaskError> {
+    async fn bundle(&self, job: &Announced, remote: &Remote) -> Result<SceneBundle, TaskError> {
         let scene = &job.scene;
         let mut externals = Vec::with_capacity(scene.externals.len());
-        let root = self.blob(&scene.name, scene.root, remote).await?;
+        let root = remote.fetch(&scene.name, scene.root, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
         for (uri, blob) in &scene.externals {
-            externals.push((uri.clone(), Arc::from(&self.blob(uri, *blob, remote).await?[..])));
+            let bytes = remote.fetch(uri, *blob, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
+            externals.push((uri.clone(), Arc::from(&bytes[..])));
         }
         Ok(SceneBundle { name: scene.name.clone(), root: Arc::from(&root[..]), externals })
-    }
-    async fn blob(&mut self, what: &str, blob: BlobRef, remote: &Remote) -> Result<Bytes, TaskError> {
-        if let Some(i) = self.blobs.iter().position(|(d, _)| *d == blob.digest)
-            && let Some(entry) = self.blobs.remove(i)
-        {
-            self.blobs.push_back(entry.clone());
-            return Ok(entry.1);
-        }
-        let bytes = remote.fetch(what, blob, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
-        self.keep(blob.digest, bytes.clone());
-        Ok(bytes)
-    }
-    fn keep(&mut self, digest: Digest, bytes: Bytes) {
-        let limit = self.memory_bytes / BLOB_SHARE;
-        if bytes.len() as u64 > limit {
-            return;
-        }
-        self.blob_bytes += bytes.len() as u64;
-        self.blobs.push_back((digest, bytes));
-        while self.blob_bytes > limit {
-            let Some((_, oldest)) = self.blobs.pop_front() else { return };
-            self.blob_bytes -= oldest.len() as u64;
-        }
     }
 }
 
@@ -230,15 +206,5 @@ mod tests {
             assert_eq!(held.maps.len(), kinds.len());
             assert_eq!(held.photon_maps().caustic.is_some(), kinds.len() == 2);
         }
-    }
-
-    #[test]
-    fn scene_files_are_kept_within_a_quarter_of_the_memory() {
-        let mut cache = Cache::new(4_000, Shared::default());
-        let digests: Vec<Digest> = (0..5).map(|i| Digest([i; 32])).collect();
-        digests.iter().for_each(|&d| cache.keep(d, Bytes::from(vec![0; 300])));
-        assert_eq!(cache.blobs.iter().map(|b| b.0).collect::<Vec<_>>(), digests[2..]);
-        cache.keep(Digest([9; 32]), Bytes::from(vec![0; 1_001]));
-        assert_eq!((cache.blobs.len(), cache.blob_bytes), (3, 900));
     }
 }

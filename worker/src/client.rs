@@ -16,6 +16,9 @@ use std::pin::Pin;
 use std::sync::Arc;
 use tonic::transport::{Channel, Error};
 
+/// Port of a URL that has none.
+const DEFAULT_HTTP_PORT: u16 = 80;
+
 /// A connection in the making.
 type Connecting = Pin<Box<dyn Future<Output = Result<Channel, Error>> + Send>>;
 
@@ -24,6 +27,8 @@ type Connecting = Pin<Box<dyn Future<Output = Result<Channel, Error>> + Send>>;
 pub struct Connector {
     /// Its address, for messages.
     pub address: String,
+    /// Its host and port, where it is reached over the network.
+    host: Option<String>,
     open: Arc<dyn Fn() -> Connecting + Send + Sync>,
 }
 
@@ -34,14 +39,17 @@ impl Connector {
     /// When the URL makes no sense.
     pub fn url(url: &str) -> Result<Self, WorkerError> {
         let endpoint = endpoint(url).map_err(|reason| WorkerError::Url { url: url.into(), reason })?;
-        Ok(Self::custom(url, move || {
+        let uri = endpoint.uri();
+        let host = uri.host().map(|host| format!("{host}:{}", uri.port_u16().unwrap_or(DEFAULT_HTTP_PORT)));
+        let connector = Self::custom(url, move || {
             let endpoint = endpoint.clone();
             Box::pin(async move { endpoint.connect().await })
-        }))
+        });
+        Ok(Connector { host, ..connector })
     }
     /// By any other means.
     pub fn custom(address: impl Into<String>, open: impl Fn() -> Connecting + Send + Sync + 'static) -> Self {
-        Connector { address: address.into(), open: Arc::new(open) }
+        Connector { address: address.into(), host: None, open: Arc::new(open) }
     }
 }
 

@@ -1,6 +1,8 @@
 //! How a worker runs. Nothing here can change an image.
 
+use crate::relay::Listen;
 use crate::shared::Shared;
+use gatherlight_proto::message::{Lease, Task};
 use gatherlight_proto::version::Versions;
 use std::time::Duration;
 
@@ -21,6 +23,8 @@ pub struct WorkerConfig {
     pub memory_bytes: u64,
     /// Failed attempts in a row before it gives up.
     pub max_attempts: u32,
+    /// Whether and where it listens for other workers.
+    pub relay: Listen,
     /// Versions it claims; tests claim others.
     pub versions: Versions,
     /// What is in this process already.
@@ -37,6 +41,7 @@ impl WorkerConfig {
             threads: 0,
             memory_bytes: DEFAULT_MEMORY_BYTES,
             max_attempts: DEFAULT_ATTEMPTS,
+            relay: Listen::Auto,
             versions: Versions::own(),
             shared: Shared::default(),
             faults: Faults::default(),
@@ -49,6 +54,10 @@ impl WorkerConfig {
 pub struct Faults {
     /// Waits this long before each task.
     pub delay: Duration,
+    /// Is slow: takes this much longer for each photon path.
+    pub per_path: Duration,
+    /// Is slow: takes this much longer for each tile.
+    pub per_tile: Duration,
     /// Vanishes, without a word, when it is given emission task number n (from 0).
     pub die_at_emission: Option<u64>,
     /// Vanishes when it is given bootstrap task number n (from 0).
@@ -63,4 +72,16 @@ pub struct Faults {
     pub corrupt: bool,
     /// Delivers every result twice.
     pub deliver_twice: bool,
+}
+
+impl Faults {
+    /// How much longer it takes for a lease.
+    pub(crate) fn slowness(&self, lease: &Lease) -> Duration {
+        let each = match lease.task {
+            Task::Emission { .. } => self.per_path,
+            Task::Gather { .. } => self.per_tile,
+            Task::Bootstrap | Task::Splat { .. } => Duration::ZERO,
+        };
+        each.mul_f64(lease.range.len() as f64)
+    }
 }

@@ -2,7 +2,9 @@
 
 use clap::Parser;
 use gatherlight_worker::config::{DEFAULT_ATTEMPTS, DEFAULT_MEMORY_BYTES};
+use gatherlight_worker::relay::Listen;
 use gatherlight_worker::{Connector, WorkerConfig, WorkerError, run};
+use std::net::SocketAddr;
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
@@ -33,6 +35,13 @@ struct Arguments {
     /// Failed attempts in a row to reach the coordinator before giving up
     #[arg(long, value_name = "N", default_value_t = DEFAULT_ATTEMPTS)]
     attempts: u32,
+    /// Address on which other workers fetch scenes and maps from this one; by default a free port of the address from which it
+    /// reaches the coordinator
+    #[arg(long, value_name = "ADDR", env = "GATHERLIGHT_RELAY_LISTEN")]
+    relay_listen: Option<SocketAddr>,
+    /// Listen for no other workers, and fetch from the coordinator alone
+    #[arg(long, conflicts_with = "relay_listen")]
+    no_relay: bool,
     /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight_worker=debug
     #[arg(long, value_name = "FILTER", env = "GATHERLIGHT_LOG", default_value = "info")]
     log: String,
@@ -86,6 +95,11 @@ fn start(arguments: Arguments) -> Result<(), WorkerError> {
         threads: arguments.threads,
         memory_bytes: arguments.memory,
         max_attempts: arguments.attempts,
+        relay: match (arguments.no_relay, arguments.relay_listen) {
+            (true, _) => Listen::Off,
+            (false, None) => Listen::Auto,
+            (false, Some(address)) => Listen::On(address),
+        },
         ..WorkerConfig::new(arguments.name.unwrap_or_else(default_name))
     };
     let runtime = tokio::runtime::Builder::new_multi_thread()

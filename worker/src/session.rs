@@ -5,7 +5,7 @@
 //! ```
 //! One lease is computed at a time (its indices run in parallel); results travel while the next one is computed.
 
-use gatherlight_proto::message::{FromWorker, Lease, LeaseId, SceneManifest, ToWorker};
+use gatherlight_proto::message::{FromWorker, Lease, LeaseId, Route, SceneManifest, ToWorker};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::settings::RenderSettings;
 use std::collections::{BTreeMap, VecDeque};
@@ -71,6 +71,8 @@ pub enum Action {
     Send(FromWorker),
     /// Drop what is held for a job.
     Forget(JobId),
+    /// Begin to get this payload, and to pass it on.
+    Announce(Route),
     /// Close the session.
     Close,
 }
@@ -162,6 +164,7 @@ impl Session {
                 let place = self.waiting.iter().position(|l| l.id == lease);
                 out.extend(place.and_then(|i| self.waiting.remove(i)).map(|l| give_back(&l)));
             }
+            ToWorker::Route(route) => out.push(Action::Announce(route)),
             ToWorker::Forget(job) => {
                 self.waiting.retain(|l| l.job != job);
                 self.jobs.remove(&job);

@@ -6,6 +6,7 @@ use super::progress::warn;
 use super::scene::Loaded;
 use crate::report;
 use crate::schedule::job::closes_rounds;
+use crate::types::WorkerInfo;
 use gatherlight_render::auto::Choice;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::plan::{EmissionPlan, Plan, PlanEntry, Saving};
@@ -21,6 +22,8 @@ pub(super) struct Preflight {
     details: Vec<(String, Vec<String>)>,
     /// Expected memory and traffic, for people.
     pub(super) costs: String,
+    /// Memory that each worker of a cluster needs, in bytes.
+    pub(super) worker_bytes: u64,
     /// What a user should know.
     pub(super) warnings: Vec<String>,
     /// The plan for scripts.
@@ -47,6 +50,7 @@ impl Preflight {
             plan: std::iter::once(method.clone()).chain(report::plan_lines(job.plan())).collect(),
             details: std::iter::once((method, Vec::new())).chain(details(job.plan())).collect(),
             costs: costs(job.plan()),
+            worker_bytes: job.plan().worker_bytes,
             warnings: job.warnings().to_vec(),
             json: plan_json(job, choice),
             has_rounds: closes_rounds(&phases),
@@ -58,12 +62,7 @@ impl Preflight {
     /// # Errors
     /// With `strict` a warning is an error.
     pub(super) fn report_warnings(&self, strict: bool) -> Result<(), CliError> {
-        if strict && !self.warnings.is_empty() {
-            let all = self.warnings.join("; ");
-            return Err(CliError::Failed(format!("{all}; without --strict this is only a warning")));
-        }
-        self.warnings.iter().for_each(|w| warn(w));
-        Ok(())
+        report_warnings(&self.warnings, strict)
     }
 
     /// The plan as it is printed; with `explain` also what each line rests on.
@@ -75,6 +74,31 @@ impl Preflight {
         }
         text + &self.costs
     }
+}
+
+/// Prints warnings.
+///
+/// # Errors
+/// With `strict` a warning is an error.
+pub(super) fn report_warnings(warnings: &[String], strict: bool) -> Result<(), CliError> {
+    if strict && !warnings.is_empty() {
+        let all = warnings.join("; ");
+        return Err(CliError::Failed(format!("{all}; without --strict this is only a warning")));
+    }
+    warnings.iter().for_each(|w| warn(w));
+    Ok(())
+}
+
+/// What is wrong with a cluster none of whose workers has the memory that each one needs; nothing is, where there is none yet.
+pub(super) fn lacks_memory(needed: u64, workers: &[WorkerInfo]) -> Option<String> {
+    let most = workers.iter().map(|w| w.memory_bytes).max().filter(|&most| most < needed)?;
+    Some(format!(
+        "each worker needs about {}, and none of the {} that are there may use more than {}: the job waits for one with a \
+         larger --memory; fewer photons need less, and --method progressive traces them in rounds",
+        bytes(needed),
+        workers.len(),
+        bytes(most)
+    ))
 }
 
 /// The lines of the plan with what leaving out saves, and the evidence of each.
@@ -96,7 +120,7 @@ fn details(plan: &Plan) -> Vec<(String, Vec<String>)> {
 fn costs(plan: &Plan) -> String {
     let mut text = format!("peak memory about {} in one process", bytes(plan.single_process_bytes));
     text.push_str(&format!(
-        "; on a cluster {} a worker and {} the coordinator",
+        "; on a cluster each worker needs {} (its --memory) and the coordinator {}",
         bytes(plan.worker_bytes),
         bytes(plan.coordinator_bytes)
     ));
@@ -147,5 +171,34 @@ fn phase_json(phase: &Phase) -> Value {
         Phase::Bootstrap { paths } => json!({ "phase": "bootstrap", "paths": paths }),
         Phase::Splat { round, units } => json!({ "phase": "splat", "round": round, "units": units }),
         Phase::Gather { round, tiles } => json!({ "phase": "gather", "round": round, "tiles": tiles }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn worker(memory_bytes: u64) -> WorkerInfo {
+        let (name, state, time) = (String::new(), String::new(), Duration::ZERO);
+        WorkerInfo {
+            id: 1,
+            name,
+            threads: 1,
+            memory_bytes,
+            state,
+            leases: 0,
+            completed: 0,
+            last_heard: time,
+            joined: time,
+        }
+    }
+
+    #[test]
+    fn a_cluster_without_a_large_enough_worker_is_said_so() {
+        assert_eq!(lacks_memory(2 << 30, &[worker(1 << 30), worker(2 << 30)]), None);
+        assert_eq!(lacks_memory(2 << 30, &[]), None);
+        let text = lacks_memory(2 << 30, &[worker(1 << 30), worker(1 << 20)]).expect("is too small");
+        assert!(text.contains("2.0 GiB") && text.contains("1.0 GiB") && text.contains("none of the 2"), "{text}");
     }
 }

@@ -52,6 +52,9 @@ pub(super) struct ServeArgs {
     /// Most memory one job may need of the coordinator, by its plan, e.g. 16G
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, default_value = "16G")]
     max_job_memory: u64,
+    /// Most memory for results that are not merged yet, e.g. 1G; workers wait for room
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, default_value = "1G")]
+    max_result_memory: u64,
     /// Print the address as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -63,6 +66,7 @@ pub(super) fn run(args: &ServeArgs) -> CliResult {
         max_store_bytes: args.max_store,
         max_live_jobs: args.max_jobs,
         max_job_bytes: args.max_job_memory,
+        max_result_bytes: args.max_result_memory,
         ..ServeConfig::new(args.listen, args.store.clone())
     };
     runtime()?.block_on(async {

@@ -6,7 +6,7 @@ use super::fetch::fetch_to;
 use super::format::bytes;
 use super::limits::LimitArgs;
 use super::output::{Output, OutputArgs};
-use super::preflight::Preflight;
+use super::preflight::{Preflight, lacks_memory, report_warnings};
 use super::progress::{MessageArgs, Style};
 use super::scene::{Loaded, SceneArgs};
 use super::watch::{follow, interrupted, outcome};
@@ -62,10 +62,14 @@ pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
     args.messages.note(&preflight.text(false));
     let Loaded { bundle, settings, .. } = loaded;
-    let Preflight { plan, warnings, .. } = preflight;
+    let Preflight { plan, warnings, worker_bytes, .. } = preflight;
     let name = args.name.clone().unwrap_or_else(|| bundle.name.clone());
     let request = SubmitRequest { name, bundle, settings, limits, priority: args.priority };
-    args.connection.run(|client| submit(client, args, request, output, [plan, warnings]))
+    args.connection.run(|client| async move {
+        let small = lacks_memory(worker_bytes, &client.workers().await?);
+        report_warnings(small.as_slice(), args.strict)?;
+        submit(client, args, request, output, [plan, [warnings, Vec::from_iter(small)].concat()]).await
+    })
 }
 
 async fn submit(

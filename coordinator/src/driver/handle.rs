@@ -4,10 +4,15 @@ use super::job::Spec;
 use super::live::ClosedRound;
 use super::resume::Resumed;
 use crate::result::Shape;
+use crate::room::Room;
+use crate::store::Store;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, ToWorker, WorkerId};
+use gatherlight_proto::message::{
+    BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, PassTicket, Route, ToWorker, WorkerId,
+};
+use gatherlight_proto::pieces::Pieces;
 use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::{Film, LightImage, Tile};
 use gatherlight_render::integrator::Bootstrap;
@@ -43,7 +48,8 @@ pub(crate) enum Input {
     Repeated(WorkerId, DeliverHeader, Digest),
     Refuse(Ticket, String),
     Complete(Box<Delivery>, Reply<bool>),
-    Source(u64, Digest, Reply<Option<Source>>),
+    Locate(u64, Digest, Reply<Option<Route>>),
+    Pass(Digest, PassTicket, Reply<Option<Source>>),
     /// What was made of a phase.
     Built(JobId, Phase, Result<Built, String>),
     Closed(JobId, Result<ClosedRound, String>),
@@ -123,6 +129,8 @@ pub struct Ticket {
     pub phase: (usize, Phase),
     /// How the job's results look.
     pub shape: Arc<Shape>,
+    /// Whether the result has to wait here until another round is closed.
+    pub is_early: bool,
 }
 
 /// What is to be done with a result that a worker offers.
@@ -170,6 +178,8 @@ pub struct Delivery {
     pub raw: Bytes,
     /// Digest of that.
     pub digest: Digest,
+    /// The memory it takes until it is merged and noted.
+    pub room: Room,
 }
 
 /// Where the bytes of a digest come from.
@@ -180,18 +190,28 @@ pub enum Source {
     /// A photon map or a bootstrap in memory; add to the counter what is sent of it.
     Memory {
         /// All of it, shared.
-        bytes: Bytes,
+        pieces: Pieces,
         /// Bytes sent so far.
         sent: Arc<AtomicU64>,
     },
+}
+
+impl Source {
+    /// Its length in bytes.
+    pub(super) fn len(&self, store: &Store) -> Option<u64> {
+        match self {
+            Source::Blob(digest) => store.len(*digest).ok(),
+            Source::Memory { pieces, .. } => Some(pieces.bytes().len() as u64),
+        }
+    }
 }
 
 /// Something workers read, ready for broadcast.
 #[derive(Debug)]
 pub(crate) struct Built {
     pub(crate) input: InputRef,
-    /// As it is sent; empty where every worker is in this process.
-    pub(crate) bytes: Bytes,
+    /// As it is sent; `None` where every worker is in this process.
+    pub(crate) encoded: Option<Pieces>,
     pub(crate) made: Made,
 }
 
@@ -300,9 +320,13 @@ impl Handle {
     pub async fn complete(&self, delivery: Delivery) -> bool {
         self.ask(|reply| Input::Complete(Box::new(delivery), reply)).await.unwrap_or(false)
     }
-    /// Where a worker's session may read this digest.
-    pub async fn source(&self, session: u64, digest: Digest) -> Option<Source> {
-        self.ask(|reply| Input::Source(session, digest, reply)).await.flatten()
+    /// From whom the worker of this session gets this digest.
+    pub async fn locate(&self, session: u64, digest: Digest) -> Option<Route> {
+        self.ask(|reply| Input::Locate(session, digest, reply)).await.flatten()
+    }
+    /// The bytes that a ticket lets its holder have.
+    pub async fn pass(&self, digest: Digest, ticket: PassTicket) -> Option<Source> {
+        self.ask(|reply| Input::Pass(digest, ticket, reply)).await.flatten()
     }
     /// Ends the driver: sessions and watches are closed, and whoever asks from now on hears that it is shutting down.
     pub async fn shutdown(&self) {

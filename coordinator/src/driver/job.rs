@@ -244,7 +244,7 @@ impl JobRecord {
             Some(s) if matches!(s.work.phase, Phase::Splat { .. }) => {
                 (JobState::Splat, self.image_done(job, Kind::Splat, done(s)))
             }
-            Some(s) => self.gathering(job, round, workers, done(s)),
+            Some(s) => self.gathering(job, round, done(s)),
             // A round is being closed.
             None if self.live.as_ref().is_some_and(|l| l.about.has_units()) => {
                 (JobState::Splat, self.image_done(job, Kind::Splat, (0, 0)))
@@ -256,11 +256,11 @@ impl JobRecord {
     fn image_done(&self, job: &Job, kind: Kind, of_round: (u64, u64)) -> (u64, u64) {
         if self.rounds == 1 { (job.total(kind).units, self.image_units) } else { of_round }
     }
-    /// The state of a gather phase: maps are on their way until the first tiles are there.
-    fn gathering(&self, job: &Job, round: u32, workers: u64, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
+    /// The state of a gather phase: maps are on their way until the first tiles are there, or one copy has left from here.
+    fn gathering(&self, job: &Job, round: u32, tiles: (u64, u64)) -> (JobState, (u64, u64)) {
         let tiles = self.image_done(job, Kind::Gather, tiles);
         let bytes: u64 = job.maps(round).iter().map(|m| m.bytes).sum();
-        let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes * workers.max(1));
+        let (sent, total) = (self.live.as_ref().map_or(0, |l| l.sent_bytes_of(round)), bytes);
         if tiles.0 == 0 && bytes > 0 && sent < total {
             return (JobState::Broadcast, (sent, total));
         }

@@ -5,6 +5,7 @@ use super::job::{JobRecord, since_1970};
 use super::resume::{self, Resumed};
 use super::steps::{flat, report};
 use super::{Driver, Parts};
+use crate::room::Room;
 use crate::schedule::Outcome;
 use crate::store::journal::{Change, SavedInput, SavedResult, SavedRounds};
 use crate::types::JobId;
@@ -97,11 +98,12 @@ impl Driver {
     }
 
     /// Notes a result that counts. A disk that fails makes it no worse a result.
-    pub(super) fn note_result(&mut self, id: JobId, result: SavedResult, reply: Reply<bool>) {
+    pub(super) fn note_result(&mut self, id: JobId, result: SavedResult, room: Room, reply: Reply<bool>) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.noted_bytes += result.payload.len() as u64;
         }
         self.note_then(id, Change::Result(result), move |_| {
+            drop(room);
             let _ = reply.send(true);
         });
     }

@@ -7,10 +7,11 @@ use crate::assemble::Parts;
 use crate::reduce::LightSum;
 use crate::report::About;
 use crate::result::Shape;
+use crate::room::Room;
 use crate::schedule::job::Done;
 use crate::types::JobStats;
-use bytes::Bytes;
 use gatherlight_proto::message::InputRef;
+use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::{Digest, WireError};
 use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, Tile};
 use gatherlight_render::integrator::Bootstrap;
@@ -25,7 +26,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 struct Served {
     round: u32,
     digest: Digest,
-    bytes: Bytes,
+    encoded: Option<Pieces>,
     sent: Arc<AtomicU64>,
     /// A bootstrap is read in all rounds.
     retires: bool,
@@ -48,6 +49,9 @@ struct LightParts {
     sum: Arc<LightSum>,
 }
 
+/// Tiles and splats that have to wait, with the memory they take.
+type Early = (Vec<Tile>, Option<LightImage>, Room);
+
 /// See the module.
 pub(super) struct Live {
     prepared: Arc<PreparedJob>,
@@ -66,7 +70,7 @@ pub(super) struct Live {
     bootstrap: Option<Arc<Bootstrap>>,
     film: FilmState,
     /// Results of rounds after the one in the making, or while that is being closed.
-    early: BTreeMap<u32, Vec<(Vec<Tile>, Option<LightImage>)>>,
+    early: BTreeMap<u32, Vec<Early>>,
     light: Option<LightParts>,
     served: Vec<Served>,
     /// Bytes sent of what is not served any more.
@@ -107,7 +111,7 @@ impl Live {
     /// Where this digest is, if it is something of this job that workers read.
     pub(super) fn source(&self, digest: Digest) -> Option<Source> {
         let served = self.served.iter().find(|s| s.digest == digest);
-        let memory = served.map(|s| Source::Memory { bytes: s.bytes.clone(), sent: s.sent.clone() });
+        let memory = served.and_then(|s| Some(Source::Memory { pieces: s.encoded.clone()?, sent: s.sent.clone() }));
         memory.or_else(|| self.blobs.contains(&digest).then_some(Source::Blob(digest)))
     }
     /// Bytes of maps and bootstraps sent so far.
@@ -120,7 +124,12 @@ impl Live {
     }
 
     /// Takes in a result that counts.
-    pub(super) fn put_to_use(&mut self, payload: Payload, phase: Phase, stats: &mut JobStats) -> Result<(), String> {
+    pub(super) fn put_to_use(
+        &mut self,
+        (payload, room): (Payload, Room),
+        phase: Phase,
+        stats: &mut JobStats,
+    ) -> Result<(), String> {
         match (payload, phase) {
             (Payload::Photons(batch), Phase::Emission { round, map, paths }) => {
                 stats.non_finite.photons = stats.non_finite.photons.saturating_add(batch.non_finite);
@@ -133,7 +142,7 @@ impl Live {
             }
             (Payload::Light(light), Phase::Splat { round, .. }) => {
                 count_light(&light, stats);
-                self.add_to_round(round, Vec::new(), Some(light))
+                self.add_to_round(round, Vec::new(), Some(light), room)
             }
             (Payload::Tiles(tiles, light), Phase::Gather { round, .. }) => {
                 for tile in &tiles {
@@ -143,29 +152,44 @@ impl Live {
                 if let Some(light) = &light {
                     count_light(light, stats);
                 }
-                self.add_to_round(round, tiles, light)
+                self.add_to_round(round, tiles, light, room)
             }
             _ => Err("a result is of another kind than its task".into()),
         }
     }
-    fn add_to_round(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
+    fn add_to_round(
+        &mut self,
+        round: u32,
+        tiles: Vec<Tile>,
+        light: Option<LightImage>,
+        room: Room,
+    ) -> Result<(), String> {
         if matches!(self.film, FilmState::Empty) {
             self.film = FilmState::Here(Box::new(self.prepared.accumulator()));
         }
         match &mut self.film {
             FilmState::Here(film) if film.closed_rounds() == round => {
                 tiles.iter().try_for_each(|tile| film.insert(round, tile)).map_err(|e| e.to_string())?;
-                self.put_light(light)
+                self.put_light(light, room)
             }
             _ => {
-                self.early.entry(round).or_default().push((tiles, light));
+                self.early.entry(round).or_default().push((tiles, light, room));
                 Ok(())
             }
         }
     }
-    fn put_light(&mut self, light: Option<LightImage>) -> Result<(), String> {
+    /// Whether a result of `phase` has to wait until the round before it is closed.
+    pub(super) fn is_early(&self, phase: Phase) -> bool {
+        phase.makes_image()
+            && match &self.film {
+                FilmState::Empty => false,
+                FilmState::Here(film) => film.closed_rounds() != phase.round(),
+                FilmState::Closing => true,
+            }
+    }
+    fn put_light(&mut self, light: Option<LightImage>, room: Room) -> Result<(), String> {
         let Some(light) = light else { return Ok(()) };
-        self.light.as_ref().ok_or("the method has no light image")?.sum.put(light);
+        self.light.as_ref().ok_or("the method has no light image")?.sum.put(light, room);
         Ok(())
     }
 
@@ -205,7 +229,7 @@ impl Live {
         let round = film.closed_rounds();
         self.film = FilmState::Here(film);
         let early = self.early.remove(&round).unwrap_or_default();
-        early.into_iter().try_for_each(|(tiles, light)| self.add_to_round(round, tiles, light))
+        early.into_iter().try_for_each(|(tiles, light, room)| self.add_to_round(round, tiles, light, room))
     }
 
     /// What the map of a round is built from.
@@ -223,15 +247,12 @@ impl Live {
     }
     /// Lets workers fetch what was made of a phase of `round`.
     pub(super) fn serve(&mut self, round: u32, built: Built) {
-        let Built { input, bytes, made } = built;
-        let (digest, retires) = match input {
-            InputRef::Map(map) => (map.digest, true),
-            InputRef::Bootstrap(blob) => (blob.digest, false),
-        };
+        let Built { input, encoded, made } = built;
+        let (digest, retires) = (input.blob().digest, matches!(input, InputRef::Map(_)));
         if let Made::Bootstrap(bootstrap) = made {
             self.bootstrap = Some(bootstrap);
         }
-        self.served.push(Served { round, digest, bytes, sent: Arc::default(), retires });
+        self.served.push(Served { round, digest, encoded, sent: Arc::default(), retires });
     }
     /// Drops the maps of `round`.
     pub(super) fn retire(&mut self, round: u32) {
@@ -402,15 +423,19 @@ mod tests {
             let input = InputRef::Map(MapRef { kind: MapKind::Global, digest, bytes: 0 });
             live.serve(
                 round,
-                Built { input, bytes: Bytes::from_static(b"map"), made: Made::Map { gather_radius: 1.0 } },
+                Built {
+                    input,
+                    encoded: Some(Pieces::of((&b"map"[..]).into())),
+                    made: Made::Map { gather_radius: 1.0 },
+                },
             );
-            let Some(Source::Memory { bytes, sent }) = live.source(digest) else { panic!("is not served") };
-            sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+            let Some(Source::Memory { pieces, sent }) = live.source(digest) else { panic!("is not served") };
+            sent.fetch_add(pieces.bytes().len() as u64, Ordering::Relaxed);
             for index in 0..grid.len() {
                 let pixels = vec![1.0; 256 * channels.len()];
                 let tile = Tile { index, pixels, non_finite: 0, rays: 1 };
                 let phase = Phase::Gather { round, tiles: grid.len() };
-                live.put_to_use(Payload::Tiles(vec![tile], None), phase, &mut stats).unwrap();
+                live.put_to_use((Payload::Tiles(vec![tile], None), Room::default()), phase, &mut stats).unwrap();
             }
             let closed =
                 live.take_round(Phase::Gather { round, tiles: grid.len() }, 0).expect("is there").close().unwrap();

@@ -3,6 +3,7 @@
 //! The driver owns the scheduler, the sessions and the jobs' heavy parts, and never waits: computing goes to the
 //! compute threads, which report back through the same queue.
 
+mod broadcast;
 mod handle;
 mod job;
 mod keep;
@@ -16,8 +17,10 @@ pub use job::Spec;
 
 pub(crate) use handle::{Built, Image, Made};
 
+use crate::broadcast::Broadcasts;
 use crate::compute::Compute;
 use crate::random::random_u64;
+use crate::room::Room;
 use crate::schedule::job::closes_rounds;
 use crate::schedule::{Command, Event, Outcome, Policy, Saved, Scheduler, Terms};
 use crate::store::Store;
@@ -96,6 +99,7 @@ pub struct Driver {
     /// Jobs by age.
     order: Vec<JobId>,
     sessions: Sessions,
+    broadcasts: Broadcasts,
     compute: Compute,
     store: Arc<Store>,
     /// To itself, for compute threads; weak, so that the driver ends with its last user.
@@ -114,6 +118,7 @@ impl Driver {
         let mut driver = Driver {
             scheduler: Scheduler::new(config.policy.clone()),
             sessions: Sessions::new(config.heartbeat),
+            broadcasts: Broadcasts::default(),
             config,
             jobs: BTreeMap::new(),
             order: Vec::new(),
@@ -192,10 +197,8 @@ impl Driver {
             }
             Input::Refuse(ticket, error) => self.refuse(&ticket, error),
             Input::Complete(delivery, reply) => self.complete(*delivery, reply),
-            Input::Source(session, digest, reply) => {
-                let known = self.sessions.worker(session).is_some();
-                drop(reply.send(known.then(|| self.source(digest)).flatten()));
-            }
+            Input::Locate(session, digest, reply) => drop(reply.send(self.locate(session, digest))),
+            Input::Pass(digest, ticket, reply) => drop(reply.send(self.pass(digest, &ticket))),
             Input::Built(id, phase, built) => self.built(id, phase, built),
             Input::Closed(id, closed) => self.closed(id, closed),
             Input::Assembled(id, image) => self.assembled(id, image),
@@ -291,6 +294,7 @@ impl Driver {
         job.finish(now, outcome);
         let record = job.stored.encode();
         self.note(id, Change::Ended(record));
+        self.end_broadcasts();
     }
 
     fn forget_old_jobs(&mut self) {
@@ -336,14 +340,17 @@ impl Driver {
             return None;
         }
         let (job, phase) = (open.lease.job, open.phase);
+        let live = self.jobs.get(&job)?.live.as_ref()?;
+        let phase = (phase, self.scheduler.job(job)?.work(phase)?.phase);
         Some(Ticket {
             worker,
             lease: header.lease,
             attempt: header.attempt,
             range: header.range,
             busy: header.busy,
-            phase: (phase, self.scheduler.job(job)?.work(phase)?.phase),
-            shape: self.jobs.get(&job)?.live.as_ref()?.shape.clone(),
+            phase,
+            shape: live.shape.clone(),
+            is_early: live.is_early(phase.1),
         })
     }
 
@@ -355,7 +362,7 @@ impl Driver {
 
     /// Offers a result to the scheduler and, where it counts, puts it to use. `reply` hears that it counts once it is safe.
     fn complete(&mut self, delivery: Delivery, reply: Reply<bool>) {
-        let Delivery { ticket, payload, raw, digest } = delivery;
+        let Delivery { ticket, payload, raw, digest, room } = delivery;
         let Ticket { worker, lease, attempt, range, busy, phase: (index, phase), .. } = ticket;
         let stored = payload.stored();
         let completed = Event::Completed { worker, lease, attempt, range, busy, stored, digest };
@@ -365,7 +372,7 @@ impl Driver {
             _ => None,
         });
         let result = SavedResult { phase: index, range, busy, payload: raw };
-        let used = accepted.map(|job| (job, self.put_to_use(job, phase, payload, &result)));
+        let used = accepted.map(|job| (job, self.put_to_use(job, phase, (payload, room.clone()), &result)));
         self.carry_out(commands);
         match used {
             Some((job, Err(error))) => {
@@ -375,7 +382,7 @@ impl Driver {
             Some((job, Ok(()))) => {
                 self.add_light(job);
                 self.refresh(job);
-                self.note_result(job, result, reply);
+                self.note_result(job, result, room, reply);
             }
             None => {
                 tracing::debug!(worker = worker.0, lease = lease.0, "stale result discarded");
@@ -384,7 +391,13 @@ impl Driver {
         }
     }
 
-    fn put_to_use(&mut self, id: JobId, phase: Phase, payload: Payload, result: &SavedResult) -> Result<(), String> {
+    fn put_to_use(
+        &mut self,
+        id: JobId,
+        phase: Phase,
+        payload: (Payload, Room),
+        result: &SavedResult,
+    ) -> Result<(), String> {
         let job = self.jobs.get_mut(&id).ok_or("the job is gone")?;
         let mut part = JobStats { busy: result.busy, result_bytes: result.payload.len() as u64, ..JobStats::default() };
         let live = job.live.as_mut().ok_or("the job has ended")?;

@@ -5,14 +5,15 @@ use super::job::{Spec, first_stats};
 use super::live::Live;
 use crate::intake;
 use crate::result;
+use crate::room::Room;
 use crate::schedule::Saved;
 use crate::schedule::work::{Kind, Total};
 use crate::store::Store;
 use crate::store::journal::{SavedInput, SavedResult, SavedRounds, SavedWork};
 use crate::types::{JobId, JobStats, MapStats};
-use gatherlight_proto::Digest;
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
 use gatherlight_proto::payload::bootstrap;
+use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::stored::{StoredJob, StoredRounds};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
@@ -109,14 +110,16 @@ impl Resumed {
     fn input(&mut self, saved: SavedInput) -> Option<()> {
         let SavedInput { phase: index, stored, gather_radius, payload: bytes } = saved;
         let phase = *self.live.phases.get(index)?;
-        let blob = BlobRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
+        let encoded = Pieces::of(bytes);
+        let bytes = encoded.bytes();
+        let blob = BlobRef { digest: encoded.list().digest(), bytes: bytes.len() as u64 };
         let (input, made) = match phase {
             Phase::Emission { map: kind, .. } => {
                 let BlobRef { digest, bytes } = blob;
                 (InputRef::Map(MapRef { kind, digest, bytes }), Made::Map { gather_radius })
             }
             Phase::Bootstrap { paths } => {
-                let luminances = bootstrap::decode(&bytes, EmissionRange { first: 0, end: paths }).ok()?;
+                let luminances = bootstrap::decode(bytes, EmissionRange { first: 0, end: paths }).ok()?;
                 (InputRef::Bootstrap(blob), Made::Bootstrap(Arc::new(Bootstrap::new(luminances))))
             }
             Phase::Gather { .. } | Phase::Splat { .. } => return None,
@@ -129,7 +132,7 @@ impl Resumed {
             }
         }
         self.saved.inputs.insert(index, (input, stored));
-        self.live.serve(phase.round(), Built { input, bytes, made });
+        self.live.serve(phase.round(), Built { input, encoded: Some(encoded), made });
         Some(())
     }
 
@@ -139,7 +142,7 @@ impl Resumed {
         let Ok(read) = result::read(&self.live.shape, phase, range, &payload) else { return Ok(None) };
         if self.saved.add_result(&self.live.phases, index, range, read.stored()) {
             let mut part = JobStats { busy, result_bytes: payload.len() as u64, ..JobStats::default() };
-            self.live.put_to_use(read, phase, &mut part)?;
+            self.live.put_to_use((read, Room::default()), phase, &mut part)?;
             self.later.entry(phase.round()).or_default().add(&part);
         }
         Ok(Some(()))

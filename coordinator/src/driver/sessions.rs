@@ -6,6 +6,7 @@ use crate::schedule::Scheduler;
 use crate::types::WorkerInfo;
 use gatherlight_proto::message::{Hello, ToWorker, WorkerId};
 use std::collections::{BTreeMap, HashMap};
+use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 
@@ -62,6 +63,19 @@ impl Sessions {
     /// The name a worker gave itself.
     pub(super) fn name(&self, worker: WorkerId) -> String {
         self.by_worker.get(&worker).map_or_else(|| format!("worker {}", worker.0), |s| s.hello.name.clone())
+    }
+    /// Whether this session is open.
+    pub(super) fn is_open(&self, worker: WorkerId) -> bool {
+        self.by_worker.contains_key(&worker)
+    }
+    /// Workers that relay and may use at least `bytes` of memory, in the order in which they joined.
+    pub(super) fn relays(&self, bytes: u64) -> Vec<(WorkerId, SocketAddr)> {
+        let can = self.by_worker.iter().filter(|(_, s)| s.hello.memory_bytes >= bytes);
+        can.filter_map(|(&id, s)| Some((id, s.hello.relay?.address))).collect()
+    }
+    /// Whether this worker relays.
+    pub(super) fn relays_itself(&self, worker: WorkerId) -> bool {
+        self.by_worker.get(&worker).is_some_and(|s| s.hello.relay.is_some())
     }
     /// For listings.
     pub(super) fn list(&self, now: Duration, scheduler: &Scheduler) -> Vec<WorkerInfo> {

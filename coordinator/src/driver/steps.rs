@@ -50,7 +50,8 @@ impl Driver {
         };
         let (input, round) = (built.input, phase.round());
         let gather_radius = if let Made::Map { gather_radius } = built.made { gather_radius } else { 0.0 };
-        self.note_input(id, phase, gather_radius, built.bytes.clone());
+        let payload = built.encoded.as_ref().map(|e| e.bytes().clone()).unwrap_or_default();
+        self.note_input(id, phase, gather_radius, payload);
         let Some(job) = self.jobs.get_mut(&id) else { return };
         if let InputRef::Map(map) = input {
             job.add_stats(round, &map_bytes(map));
@@ -62,6 +63,9 @@ impl Driver {
             job.stats.gather_radius = live.about.gather_radii.values().copied().reduce(f32::max);
         }
         live.serve(round, built);
+        if self.config.sink.is_none() {
+            self.announce(input.blob());
+        }
         tracing::info!(job = %id, round, ?input, "built");
         self.event(Event::Built { job: id, round, input });
         self.refresh(id);
@@ -92,6 +96,7 @@ impl Driver {
         if let Some(live) = self.jobs.get_mut(&id).and_then(|j| j.live.as_mut()) {
             live.retire(round);
         }
+        self.end_broadcasts();
     }
 
     /// Has the light images that came in added to their sum.

@@ -1,19 +1,22 @@
 //! What workers call.
 
-use super::{Context, ReplyStream, memory_chunks, stored_chunks};
-use crate::driver::{Delivery, Handle, Offered, Source, Ticket};
+use super::{Context, ReplyStream};
+use crate::driver::{Delivery, Handle, Offered, Ticket};
 use crate::result;
+use crate::room::{self, Room};
 use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
-use gatherlight_proto::limits::MAX_RESULT_BYTES;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, WorkerId};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, WorkerId};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
-use gatherlight_proto::wire::{Chunk, CoordinatorMessage, DeliverRequest, FetchRequest, Receipt, WorkerMessage};
+use gatherlight_proto::wire::{
+    CoordinatorMessage, DeliverReply, DeliverRequest, LocateRequest, Proceed, Receipt, Route, WorkerMessage,
+    deliver_reply,
+};
 use gatherlight_proto::{Digest, WireError};
-use std::sync::atomic::Ordering;
+use std::net::SocketAddr;
 use std::time::Duration;
-use tokio::sync::oneshot;
+use tokio::sync::{mpsc, oneshot};
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Request, Response, Status, Streaming};
@@ -21,6 +24,8 @@ use tonic::{Code, Request, Response, Status, Streaming};
 /// Time a worker has to introduce itself, and a delivery to send its next chunk.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// Shared by the calls.
+#[derive(Clone)]
 pub(super) struct ClusterService {
     context: Context,
 }
@@ -34,14 +39,16 @@ impl ClusterService {
 #[tonic::async_trait]
 impl Cluster for ClusterService {
     type JoinStream = ReplyStream<CoordinatorMessage>;
-    type FetchStream = ReplyStream<Chunk>;
+    type DeliverStream = ReplyStream<DeliverReply>;
 
     async fn join(&self, request: Request<Streaming<WorkerMessage>>) -> Result<Response<Self::JoinStream>, Status> {
+        let from = request.remote_addr();
         let mut inbound = request.into_inner();
         let first = next(&mut inbound).await?.ok_or(WireError::Missing("hello"))?;
-        let FromWorker::Hello(hello) = FromWorker::try_from(first)? else {
+        let FromWorker::Hello(mut hello) = FromWorker::try_from(first)? else {
             return Err(WireError::invalid("message", "the first one has to be hello").into());
         };
+        drop_unreachable_relay(&mut hello, from);
         let driver = self.context.driver.clone();
         let joined = driver.join(hello).await.ok_or_else(|| Status::unavailable("shutting down"))?;
         tokio::spawn(listen(driver, joined.worker, inbound, joined.dismissed));
@@ -49,47 +56,78 @@ impl Cluster for ClusterService {
         Ok(Response::new(Box::pin(outbound)))
     }
 
-    async fn fetch(&self, request: Request<FetchRequest>) -> Result<Response<Self::FetchStream>, Status> {
-        let FetchRequest { session, digest } = request.into_inner();
+    async fn locate(&self, request: Request<LocateRequest>) -> Result<Response<Route>, Status> {
+        let LocateRequest { session, digest } = request.into_inner();
         let digest = Digest::try_from(&digest[..])?;
-        let source = self.context.driver.source(session, digest).await;
-        let stream = match source {
-            None => return Err(Status::not_found(format!("{digest} belongs to no running job of this session"))),
-            Some(Source::Blob(digest)) => stored_chunks(self.context.store.clone(), digest)?,
-            Some(Source::Memory { bytes, sent }) => memory_chunks(bytes, digest, move |n| {
-                sent.fetch_add(n, Ordering::Relaxed);
-            }),
-        };
-        Ok(Response::new(stream))
+        let route = self.context.driver.locate(session, digest).await;
+        let unknown = || Status::not_found(format!("{digest} belongs to no running job of this session"));
+        Ok(Response::new(route.ok_or_else(unknown)?.into()))
     }
 
-    async fn deliver(&self, request: Request<Streaming<DeliverRequest>>) -> Result<Response<Receipt>, Status> {
+    async fn deliver(
+        &self,
+        request: Request<Streaming<DeliverRequest>>,
+    ) -> Result<Response<Self::DeliverStream>, Status> {
         let mut inbound = request.into_inner();
         let first = next(&mut inbound).await?.and_then(|m| m.kind);
         let Some(Kind::Header(header)) = first else {
             return Err(WireError::invalid("delivery", "the first message has to be the header").into());
         };
         let header = DeliverHeader::try_from(header)?;
-        // Asked before any of it is read: what is not wanted costs nothing.
+        let (replies, outbound) = mpsc::channel(2);
+        let service = self.clone();
+        tokio::spawn(async move {
+            let last = service.take_in(header, inbound, &replies).await;
+            drop(replies.send(last.map(|accepted| reply(deliver_reply::Kind::Receipt(Receipt { accepted })))).await);
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(outbound))))
+    }
+}
+
+/// What is sent back to whoever delivers.
+type Replies = mpsc::Sender<Result<DeliverReply, Status>>;
+
+fn reply(kind: deliver_reply::Kind) -> DeliverReply {
+    DeliverReply { kind: Some(kind) }
+}
+
+/// A worker that says it listens on an address from which it does not connect is behind NAT: nobody could reach it.
+fn drop_unreachable_relay(hello: &mut Hello, from: Option<SocketAddr>) {
+    let seen = |address: SocketAddr| from.is_some_and(|f| f.ip().to_canonical() == address.ip().to_canonical());
+    if let Some(relay) = hello.relay.take_if(|r| !r.given && !seen(r.address)) {
+        tracing::info!(name = hello.name, address = %relay.address, ?from, "is behind NAT, so it does not relay");
+    }
+}
+
+impl ClusterService {
+    /// Takes in a result and returns whether it counts. None of it is sent before there is room, nor if it is not wanted.
+    async fn take_in(
+        &self,
+        header: DeliverHeader,
+        mut inbound: Streaming<DeliverRequest>,
+        replies: &Replies,
+    ) -> Result<bool, Status> {
         let ticket = match self.context.driver.offer(header).await {
             Offered::Wanted(ticket) => *ticket,
             Offered::Repeated(worker) => {
-                if let Some(digest) = announced(&mut inbound).await? {
-                    self.context.driver.repeated(worker, header, digest).await;
-                }
-                return Ok(Response::new(Receipt { accepted: false }));
+                self.context.driver.repeated(worker, header, header.digest).await;
+                return Ok(false);
             }
-            Offered::Stale => return Ok(Response::new(Receipt { accepted: false })),
+            Offered::Stale => return Ok(false),
         };
-        let received = match receive(&mut inbound).await {
-            Ok((bytes, digest)) => self.decode(&ticket, bytes, digest).await,
+        let room = tokio::select! {
+            room = self.context.rooms.take(room::needed(&ticket, header.bytes), ticket.is_early) => room,
+            () = replies.closed() => return Ok(false),
+        };
+        if replies.send(Ok(reply(deliver_reply::Kind::Proceed(Proceed {})))).await.is_err() {
+            return Ok(false);
+        }
+        let received = match receive(&mut inbound, header.bytes).await {
+            Ok((bytes, digest)) => self.decode(&ticket, bytes, digest, room).await,
             Err(status) => Err(status),
         };
         match received {
-            Ok(delivery) => {
-                let accepted = self.context.driver.complete(delivery).await;
-                Ok(Response::new(Receipt { accepted }))
-            }
+            Ok(delivery) => Ok(self.context.driver.complete(delivery).await),
             Err(status) => {
                 // A broken connection is no fault of the task: its worker is lost, or tells us itself.
                 if !is_broken_connection(&status) {
@@ -99,15 +137,12 @@ impl Cluster for ClusterService {
             }
         }
     }
-}
-
-impl ClusterService {
     /// Decodes a result on the compute threads.
-    async fn decode(&self, ticket: &Ticket, raw: Bytes, digest: Digest) -> Result<Delivery, Status> {
+    async fn decode(&self, ticket: &Ticket, raw: Bytes, digest: Digest, room: Room) -> Result<Delivery, Status> {
         let ticket = ticket.clone();
         let decode = move || {
             let payload = result::read(&ticket.shape, ticket.phase.1, ticket.range, &raw)?;
-            Ok::<_, WireError>(Delivery { ticket, payload, raw, digest })
+            Ok::<_, WireError>(Delivery { ticket, payload, raw, digest, room })
         };
         let decoded = self.context.compute.run(decode).await;
         Ok(decoded.map_err(|e| Status::internal(e.to_string()))??)
@@ -118,17 +153,9 @@ fn is_broken_connection(status: &Status) -> bool {
     matches!(status.code(), Code::Cancelled | Code::Unknown | Code::Unavailable)
 }
 
-/// The digest that the first chunk after the header announces.
-async fn announced(inbound: &mut Streaming<DeliverRequest>) -> Result<Option<Digest>, Status> {
-    match next(inbound).await?.and_then(|m| m.kind) {
-        Some(Kind::Chunk(chunk)) if chunk.index == 0 => Ok(Some(Digest::try_from(&chunk.digest[..])?)),
-        _ => Ok(None),
-    }
-}
-
 /// The chunks that follow the header, as one payload with its digest.
-async fn receive(inbound: &mut Streaming<DeliverRequest>) -> Result<(Bytes, Digest), Status> {
-    let mut assembler = Assembler::new("result size in bytes", MAX_RESULT_BYTES, "MAX_RESULT_BYTES");
+async fn receive(inbound: &mut Streaming<DeliverRequest>, announced: u64) -> Result<(Bytes, Digest), Status> {
+    let mut assembler = Assembler::new("result size in bytes", announced, "as the header says");
     while let Some(message) = next(inbound).await? {
         let Some(Kind::Chunk(chunk)) = message.kind else {
             return Err(WireError::invalid("delivery", "only chunks may follow the header").into());

@@ -121,7 +121,7 @@ impl Jobs for JobsService {
             owner: String::new(),
         };
         let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
-        let Context { driver, compute, store } = &self.context;
+        let Context { driver, compute, store, .. } = &self.context;
         let job = intake::submit(driver, compute, store, submission).await?;
         Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }

@@ -2,18 +2,20 @@
 
 mod cluster;
 mod jobs;
+mod relay;
 
 use crate::compute::Compute;
 use crate::driver::Handle;
+use crate::room::Rooms;
 use crate::store::Store;
-use bytes::Bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::chunk::{chunk, chunks};
+use gatherlight_proto::chunk::chunk;
 use gatherlight_proto::limits::{CONNECTION_WINDOW_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES};
 use gatherlight_proto::version;
 use gatherlight_proto::wire::Chunk;
 use gatherlight_proto::wire::cluster_server::ClusterServer;
 use gatherlight_proto::wire::jobs_server::JobsServer;
+use gatherlight_proto::wire::relay_server::RelayServer;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -37,6 +39,7 @@ pub(crate) struct Context {
     pub(crate) driver: Handle,
     pub(crate) compute: Compute,
     pub(crate) store: Arc<Store>,
+    pub(crate) rooms: Rooms,
 }
 
 type Check = fn(Request<()>) -> Result<Request<()>, Status>;
@@ -55,6 +58,7 @@ fn check_client(request: Request<()>) -> Result<Request<()>, Status> {
 pub(crate) async fn router(context: Context) -> Router {
     let cluster =
         ClusterServer::new(cluster::ClusterService::new(context.clone())).max_decoding_message_size(MAX_MESSAGE_BYTES);
+    let relay = RelayServer::new(relay::RelayService::new(context.clone()));
     let jobs = JobsServer::new(jobs::JobsService::new(context)).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<ClusterServer<cluster::ClusterService>>().await;
@@ -68,16 +72,8 @@ pub(crate) async fn router(context: Context) -> Router {
         .tcp_nodelay(true)
         .add_service(health)
         .add_service(InterceptedService::new(cluster, check_worker as Check))
+        .add_service(InterceptedService::new(relay, check_worker as Check))
         .add_service(InterceptedService::new(jobs, check_client as Check))
-}
-
-/// A payload in memory as chunks; `sent` hears the bytes of each as it goes out.
-fn memory_chunks(bytes: Bytes, digest: Digest, sent: impl Fn(u64) + Send + 'static) -> ReplyStream<Chunk> {
-    let pieces = chunks(bytes, digest).map(move |c| {
-        sent(c.data.len() as u64);
-        Ok(c)
-    });
-    Box::pin(tokio_stream::iter(pieces))
 }
 
 /// A blob of the store as chunks, read as they are sent.

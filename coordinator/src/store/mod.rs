@@ -134,13 +134,20 @@ impl Store {
     /// # Errors
     /// When it is not there or cannot be read.
     pub fn read_at(&self, digest: Digest, offset: u64) -> io::Result<Bytes> {
+        self.read_range(digest, offset, CHUNK_BYTES)
+    }
+    /// Up to `most` bytes of a blob from `offset` on.
+    ///
+    /// # Errors
+    /// As [`Store::read_at`].
+    pub fn read_range(&self, digest: Digest, offset: u64, most: usize) -> io::Result<Bytes> {
         match &self.place {
             Place::Memory(blobs) => {
                 let blob = lock(blobs).get(&digest).cloned().ok_or_else(|| missing(digest))?;
                 let start = usize::try_from(offset).unwrap_or(usize::MAX).min(blob.len());
-                Ok(blob.slice(start..blob.len().min(start.saturating_add(CHUNK_BYTES))))
+                Ok(blob.slice(start..blob.len().min(start.saturating_add(most))))
             }
-            Place::Directory(d) => d.read_at(digest, offset, CHUNK_BYTES).map(Bytes::from),
+            Place::Directory(d) => d.read_at(digest, offset, most).map(Bytes::from),
         }
     }
     /// Length of a blob.

@@ -3,7 +3,7 @@
 use super::{map_kind, name, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
-use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_THREADS};
+use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_RESULT_BYTES, MAX_THREADS};
 use crate::message::{BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, Task, ToWorker, WorkerId};
 use crate::types::JobId;
 use crate::wire;
@@ -20,7 +20,8 @@ impl From<FromWorker> for wire::WorkerMessage {
         use wire::worker_message::Kind;
         let kind = match m {
             FromWorker::Hello(h) => {
-                Kind::Hello(wire::Hello { name: h.name, threads: h.threads, memory_bytes: h.memory_bytes })
+                let Hello { name, threads, memory_bytes, relay } = h;
+                Kind::Hello(wire::Hello { name, threads, memory_bytes, relay: relay.map(Into::into) })
             }
             FromWorker::Heartbeat => Kind::Heartbeat(wire::Heartbeat {}),
             FromWorker::TaskFailed { lease, attempt, error } => {
@@ -47,7 +48,8 @@ impl TryFrom<wire::WorkerMessage> for FromWorker {
                     return Err(WireError::invalid("hello.threads", message));
                 }
                 let name = name("hello.name", h.name)?;
-                FromWorker::Hello(Hello { name, threads: h.threads, memory_bytes: h.memory_bytes })
+                let relay = h.relay.map(TryInto::try_into).transpose()?;
+                FromWorker::Hello(Hello { name, threads: h.threads, memory_bytes: h.memory_bytes, relay })
             }
             Kind::Heartbeat(_) => FromWorker::Heartbeat,
             Kind::TaskFailed(t) => FromWorker::TaskFailed {
@@ -148,6 +150,7 @@ impl From<ToWorker> for wire::CoordinatorMessage {
             ToWorker::Lease(l) => Kind::Lease(l.into()),
             ToWorker::Revoke(lease) => Kind::Revoke(wire::Revoke { lease: lease.0 }),
             ToWorker::Forget(job) => Kind::Forget(wire::Forget { job: job.0 }),
+            ToWorker::Route(route) => Kind::Route(route.into()),
         };
         wire::CoordinatorMessage { kind: Some(kind) }
     }
@@ -172,6 +175,7 @@ impl TryFrom<wire::CoordinatorMessage> for ToWorker {
             Kind::Lease(l) => ToWorker::Lease(l.try_into()?),
             Kind::Revoke(r) => ToWorker::Revoke(LeaseId(r.lease)),
             Kind::Forget(f) => ToWorker::Forget(JobId(f.job)),
+            Kind::Route(route) => ToWorker::Route(route.try_into()?),
         })
     }
 }
@@ -185,6 +189,8 @@ impl From<DeliverHeader> for wire::DeliverHeader {
             first: h.range.first,
             end: h.range.end,
             busy_micros: u64::try_from(h.busy.as_micros()).unwrap_or(u64::MAX),
+            bytes: h.bytes,
+            digest: h.digest.to_bytes(),
         }
     }
 }
@@ -192,12 +198,15 @@ impl From<DeliverHeader> for wire::DeliverHeader {
 impl TryFrom<wire::DeliverHeader> for DeliverHeader {
     type Error = WireError;
     fn try_from(h: wire::DeliverHeader) -> Result<Self, WireError> {
+        WireError::check_limit("result size in bytes", h.bytes, MAX_RESULT_BYTES, "MAX_RESULT_BYTES")?;
         Ok(DeliverHeader {
             session: h.session,
             lease: LeaseId(h.lease),
             attempt: h.attempt,
             range: range(h.first, h.end)?,
             busy: Duration::from_micros(h.busy_micros),
+            bytes: h.bytes,
+            digest: Digest::try_from(&h.digest[..])?,
         })
     }
 }

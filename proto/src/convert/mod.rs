@@ -3,6 +3,7 @@
 
 mod job;
 mod message;
+mod relay;
 mod scene;
 mod settings;
 

@@ -2,7 +2,8 @@
 
 use crate::digest::Digest;
 use crate::message::{
-    BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, SceneManifest, Task, ToWorker,
+    BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, PassRequest, PassTicket, RelayAddress, Route,
+    SceneManifest, Task, ToWorker,
 };
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite};
 use crate::wire;
@@ -119,12 +120,15 @@ fn messages_between_coordinator_and_worker_survive() {
         ToWorker::Lease(lease(Task::Splat { round: 0, bootstrap: Some(blob(4)) })),
         ToWorker::Revoke(LeaseId(7)),
         ToWorker::Forget(JobId(9)),
+        ToWorker::Route(route()),
     ];
     for m in to {
         assert_eq!(ToWorker::try_from(wire::CoordinatorMessage::from(m.clone())), Ok(m));
     }
+    let relay = RelayAddress { address: "[fe80::1]:80".parse().unwrap(), given: true };
     let from = [
-        FromWorker::Hello(Hello { name: "w".into(), threads: 4, memory_bytes: 1 << 33 }),
+        FromWorker::Hello(Hello { name: "w".into(), threads: 4, memory_bytes: 1 << 33, relay: None }),
+        FromWorker::Hello(Hello { name: "r".into(), threads: 1, memory_bytes: 1, relay: Some(relay) }),
         FromWorker::Heartbeat,
         FromWorker::TaskFailed { lease: LeaseId(7), attempt: 2, error: "no".into() },
         FromWorker::TaskReturned { lease: LeaseId(7), attempt: 2 },
@@ -139,8 +143,41 @@ fn messages_between_coordinator_and_worker_survive() {
         attempt: 3,
         range: EmissionRange { first: 4, end: 5 },
         busy: Duration::from_micros(6),
+        bytes: 7,
+        digest: Digest([8; 32]),
     };
     assert_eq!(DeliverHeader::try_from(wire::DeliverHeader::from(header)), Ok(header));
+}
+
+fn route() -> Route {
+    let address = |text: &str| text.parse().unwrap();
+    let sources = [vec![address("10.0.0.1:7421"), address("[::1]:9")], Vec::new()];
+    Route { blob: blob(6), ticket: PassTicket([8; 16]), sources }
+}
+
+#[test]
+fn routes_and_requests_to_relays_survive_and_nonsense_is_refused() {
+    let request = PassRequest { digest: Digest([5; 32]), ticket: PassTicket([8; 16]), stripe: 1, first: 7 };
+    let wire = wire::PassRequest::from(request);
+    assert_eq!(PassRequest::try_from(wire.clone()), Ok(request));
+    for bad in [
+        wire::PassRequest { stripe: 2, ..wire.clone() },
+        wire::PassRequest { first: 6, ..wire.clone() },
+        wire::PassRequest { ticket: vec![8; 15].into(), ..wire.clone() },
+        wire::PassRequest { digest: vec![5; 33].into(), ..wire },
+    ] {
+        assert!(PassRequest::try_from(bad).is_err());
+    }
+    let wire = wire::Route::from(route());
+    assert_eq!(Route::try_from(wire.clone()), Ok(route()));
+    let many = wire::Sources { addresses: vec!["10.0.0.1:1".into(); 5] };
+    let name = wire::Sources { addresses: vec!["localhost:1".into()] };
+    for stripes in [vec![], vec![many, Default::default()], vec![name, Default::default()]] {
+        assert!(Route::try_from(wire::Route { stripes, ..wire.clone() }).is_err());
+    }
+    assert!(Route::try_from(wire::Route { bytes: u64::MAX, ..wire }).is_err());
+    let (a, b) = (PassTicket([1; 16]), PassTicket(std::array::from_fn(|i| u8::from(i < 15))));
+    assert!(a.is(&a) && !a.is(&b) && !format!("{a:?}").contains('1'));
 }
 
 #[test]
@@ -149,6 +186,7 @@ fn empty_and_senseless_messages_are_refused() {
     assert!(ToWorker::try_from(wire::CoordinatorMessage { kind: None }).is_err());
     let backwards = wire::DeliverHeader { first: 2, end: 1, ..Default::default() };
     assert!(DeliverHeader::try_from(backwards).is_err());
+    assert!(DeliverHeader::try_from(wire::DeliverHeader { bytes: u64::MAX, ..Default::default() }).is_err());
     let hello = wire::Hello { threads: 0, ..Default::default() };
     let hello = wire::WorkerMessage { kind: Some(wire::worker_message::Kind::Hello(hello)) };
     assert!(FromWorker::try_from(hello).is_err());
@@ -271,6 +309,7 @@ fn noise_never_panics() {
     let good: Vec<Vec<u8>> = vec![
         wire::CoordinatorMessage::from(ToWorker::Lease(lease)).encode_to_vec(),
         wire::CoordinatorMessage::from(prepare).encode_to_vec(),
+        wire::CoordinatorMessage::from(ToWorker::Route(route())).encode_to_vec(),
         wire::RenderSettings::from(&settings()).encode_to_vec(),
         wire::SceneManifest::from(&manifest()).encode_to_vec(),
         Vec::new(),
@@ -295,6 +334,7 @@ fn noise_never_panics() {
             convert::<wire::SceneManifest, SceneManifest>(&bytes),
             convert::<wire::DeliverHeader, DeliverHeader>(&bytes),
             convert::<wire::Job, JobProgress>(&bytes),
+            convert::<wire::PassRequest, PassRequest>(&bytes),
         ];
         understood += usize::from(all.contains(&true));
     }

@@ -64,8 +64,10 @@ pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, cau
         let round = base + building.max(maps) + film(settings);
         return Memory { worker: round, coordinator: base + film(settings), single_process: round, broadcast: 0 };
     }
+    // A worker keeps the maps it reads as bytes, too, to pass them on; those of the next round arrive meanwhile.
+    let kept = if settings.method.has_rounds() && settings.rounds > 1 { 2 * encoded } else { encoded };
     Memory {
-        worker: base + (maps + encoded).max(travelling),
+        worker: base + (maps + kept).max(travelling),
         coordinator: base + travelling + building.max(encoded) + film(settings),
         single_process: base + travelling + building.max(maps) + film(settings),
         broadcast: encoded,

@@ -57,7 +57,7 @@ impl World<'_> {
             }
         };
         self.to_scheduler.insert(number, event);
-        let at = self.now + 200_000 + self.delay();
+        let at = self.now + self.build_time(job, phase) + self.delay();
         self.plan(at, Due::Report(number));
     }
 

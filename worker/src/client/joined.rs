@@ -5,12 +5,13 @@ use crate::cache::Cache;
 use crate::config::{Faults, WorkerConfig};
 use crate::error::{TaskError, is_final};
 use crate::executor::Executor;
+use crate::relay::Relay;
 use crate::session::{Action, Announced, Input, Session};
 use crate::{emission, gather};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::connect::reason;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, Task, ToWorker};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, RelayAddress, Task, ToWorker};
 use gatherlight_render::job::{Inputs, PhotonMaps};
 use std::future::Future;
 use std::pin::Pin;
@@ -42,6 +43,9 @@ pub(super) struct Life {
     config: WorkerConfig,
     executor: Executor,
     cache: Arc<Mutex<Cache>>,
+    relay: Relay,
+    /// Where others reach it, once it listens.
+    relay_address: Option<RelayAddress>,
     /// Emission, bootstrap, splat and gather tasks begun, for tests that kill by number.
     begun: [u64; 4],
 }
@@ -58,7 +62,17 @@ struct Joined {
 impl Life {
     pub(super) fn new(config: WorkerConfig, executor: Executor) -> Self {
         let cache = Arc::new(Mutex::new(Cache::new(config.memory_bytes, config.shared.clone())));
-        Life { config, executor, cache, begun: [0; 4] }
+        let relay = Relay::new(config.memory_bytes, config.versions.clone());
+        Life { config, executor, cache, relay, relay_address: None, begun: [0; 4] }
+    }
+
+    /// Begins to listen for other workers, unless it does or should not. A worker that cannot fetches from the coordinator.
+    async fn listen(&mut self, connector: &Connector) {
+        let (Some(host), None) = (&connector.host, self.relay_address) else { return };
+        match self.relay.listen(self.config.relay, host).await {
+            Ok(address) => self.relay_address = address,
+            Err(error) => tracing::warn!(%error, "cannot listen for other workers"),
+        }
     }
 
     /// Connects, joins and works until the session ends.
@@ -67,17 +81,19 @@ impl Life {
         connector: &Connector,
         mut shutdown: Pin<&mut (impl Future<Output = ()> + Send)>,
     ) -> Ended {
+        self.listen(connector).await;
         let (outbound, messages) = mpsc::channel(QUEUE);
         let hello = Hello {
             name: self.config.name.clone(),
             threads: self.executor.threads() as u32,
             memory_bytes: self.config.memory_bytes,
+            relay: self.relay_address,
         };
         drop(outbound.try_send(FromWorker::Hello(hello)));
-        let versions = self.config.versions.clone();
+        let (versions, relay) = (self.config.versions.clone(), self.relay.clone());
         let joining = async {
             let channel = (connector.open)().await.map_err(|e| Ended::NotReached(reason(&e)))?;
-            let mut remote = Remote::new(channel, versions);
+            let mut remote = Remote::new(channel, versions, relay);
             match remote.join(messages).await {
                 Ok(inbound) => Ok((remote, inbound)),
                 Err(status) if is_final(&status) => Err(Ended::Refused(status.message().into())),
@@ -97,6 +113,7 @@ impl Life {
         let ended = self.work(joined, inbound, events, shutdown).await;
         // Another session's coordinator announces its jobs again; scene files stay.
         self.cache.lock().await.forget_all();
+        self.relay.end_session();
         ended
     }
 
@@ -165,6 +182,7 @@ impl Life {
                 let cache = self.cache.clone();
                 joined.tasks.spawn(async move { cache.lock().await.forget(job) });
             }
+            Action::Announce(route) => joined.remote.announce(route),
             Action::Close => return Some(Ended::Left),
         }
         None
@@ -216,7 +234,11 @@ struct Tools {
 async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<Input>) {
     let id = lease.id;
     let (payload, busy) = match compute(&tools, &lease, &job).await {
-        Ok(result) => result,
+        Ok((payload, busy)) => {
+            let slowness = tools.faults.slowness(&lease);
+            tokio::time::sleep(slowness).await;
+            (payload, busy + slowness)
+        }
         Err(error) => {
             tracing::warn!(lease = id.0, %error, "task failed");
             drop(inputs.send(Input::ComputeFailed(id, error.to_string())).await);
@@ -225,7 +247,9 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
     };
     // From here on the next lease may be computed.
     drop(inputs.send(Input::Computed(id)).await);
-    let header = DeliverHeader { session: 0, lease: id, attempt: lease.attempt, range: lease.range, busy };
+    let (bytes, digest) = (payload.len() as u64, Digest::of(&payload));
+    let header =
+        DeliverHeader { session: 0, lease: id, attempt: lease.attempt, range: lease.range, busy, bytes, digest };
     let input = match deliver(&tools, header, payload).await {
         Ok(accepted) => {
             tracing::debug!(lease = id.0, accepted, "delivered");
@@ -279,7 +303,6 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
 }
 
 async fn deliver(tools: &Tools, header: DeliverHeader, payload: Bytes) -> Result<bool, TaskError> {
-    let digest = Digest::of(&payload);
     let sent = match tools.faults.corrupt {
         false => payload,
         true => {
@@ -288,9 +311,9 @@ async fn deliver(tools: &Tools, header: DeliverHeader, payload: Bytes) -> Result
             bytes.into()
         }
     };
-    let accepted = tools.remote.deliver(header, sent.clone(), digest).await?;
+    let accepted = tools.remote.deliver(header, sent.clone()).await?;
     if tools.faults.deliver_twice {
-        tools.remote.deliver(header, sent, digest).await?;
+        tools.remote.deliver(header, sent).await?;
     }
     Ok(accepted)
 }

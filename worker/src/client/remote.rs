@@ -1,15 +1,16 @@
 //! The coordinator's calls, as a worker makes them.
 
 use crate::error::TaskError;
+use crate::relay::{self, Relay};
 use bytes::Bytes;
-use gatherlight_proto::chunk::{Assembler, chunks};
+use gatherlight_proto::chunk::chunks;
 use gatherlight_proto::connect::Stamp;
 use gatherlight_proto::limits::MAX_MESSAGE_BYTES;
-use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker};
+use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Route};
 use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::cluster_client::ClusterClient;
 use gatherlight_proto::wire::deliver_request::Kind;
-use gatherlight_proto::wire::{CoordinatorMessage, DeliverRequest, FetchRequest};
+use gatherlight_proto::wire::{CoordinatorMessage, DeliverReply, DeliverRequest, LocateRequest, deliver_reply};
 use gatherlight_proto::{Digest, WireError};
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt;
@@ -19,21 +20,25 @@ use tonic::transport::Channel;
 use tonic::{Status, Streaming};
 
 /// One session's connection; clones share it.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Remote {
     client: ClusterClient<InterceptedService<Channel, Stamp>>,
+    /// The coordinator as a source of payloads.
+    source: relay::Client,
+    relay: Relay,
     session: u64,
 }
 
 impl Remote {
-    /// Over `channel`, not joined yet.
-    pub(super) fn new(channel: Channel, versions: Versions) -> Self {
+    /// Over `channel`, not joined yet; payloads are fetched by way of `relay`.
+    pub(super) fn new(channel: Channel, versions: Versions, relay: Relay) -> Self {
+        let source = relay::client(channel.clone(), versions.clone());
         let client = ClusterClient::with_interceptor(channel, Stamp(versions));
-        Remote { client: client.max_decoding_message_size(MAX_MESSAGE_BYTES), session: 0 }
+        Remote { client: client.max_decoding_message_size(MAX_MESSAGE_BYTES), source, relay, session: 0 }
     }
     /// The same connection, with the session's secret name.
     pub(super) fn in_session(&self, session: u64) -> Self {
-        Remote { client: self.client.clone(), session }
+        Remote { session, ..self.clone() }
     }
     /// Opens the session; `messages` has the hello in it already.
     pub(super) async fn join(
@@ -54,30 +59,55 @@ impl Remote {
         limit_bytes: u64,
         limit_name: &'static str,
     ) -> Result<Bytes, TaskError> {
-        let failed = |status: Status| TaskError::Fetch { what: what.into(), reason: status.message().into() };
-        let request = FetchRequest { session: self.session, digest: blob.digest.to_bytes() };
-        let mut stream = self.client.clone().fetch(request).await.map_err(failed)?.into_inner();
-        let mut assembler = Assembler::new("fetched size in bytes", limit_bytes.min(blob.bytes), limit_name);
-        while let Some(chunk) = stream.message().await.map_err(failed)? {
-            assembler.push(&chunk)?;
-        }
-        let (bytes, digest) = assembler.finish()?;
-        if digest != blob.digest {
-            let (expected, actual) = (blob.digest.to_string(), digest.to_string());
-            return Err(WireError::Digest { expected, actual }.into());
-        }
-        Ok(bytes)
+        WireError::check_limit("fetched size in bytes", blob.bytes, limit_bytes, limit_name)?;
+        let locate = async || {
+            let request = LocateRequest { session: self.session, digest: blob.digest.to_bytes() };
+            let failed = |status: Status| TaskError::Fetch { what: what.into(), reason: status.message().into() };
+            let route = self.client.clone().locate(request).await.map_err(failed)?;
+            Ok(Route::try_from(route.into_inner())?)
+        };
+        self.relay.fetch(what, blob, self.source.clone(), locate()).await
     }
-    /// Hands in a result; returns whether it counts. `digest` is the payload's, unless a test wants another.
+    /// The bytes of this payload are not needed here any more.
+    pub(crate) fn forget(&self, digest: Digest) {
+        self.relay.forget(digest);
+    }
+    /// Takes in the way to a payload that will be read soon.
+    pub(super) fn announce(&self, route: Route) {
+        self.relay.announce(route, self.source.clone());
+    }
+    /// Hands in a result; returns whether it counts. A test may want a header that is not the payload's.
     ///
     /// # Errors
     /// When it cannot be sent or is refused.
-    pub async fn deliver(&self, header: DeliverHeader, payload: Bytes, digest: Digest) -> Result<bool, TaskError> {
+    pub async fn deliver(&self, header: DeliverHeader, payload: Bytes) -> Result<bool, TaskError> {
         let header = DeliverHeader { session: self.session, ..header };
-        let first = DeliverRequest { kind: Some(Kind::Header(header.into())) };
-        let rest = chunks(payload, digest).map(|c| DeliverRequest { kind: Some(Kind::Chunk(c)) });
-        let stream = tokio_stream::iter(std::iter::once(first).chain(rest));
-        let reply = self.client.clone().deliver(stream).await;
-        reply.map(|r| r.into_inner().accepted).map_err(|s| TaskError::Deliver(s.message().into()))
+        let failed = |s: Status| TaskError::Deliver(s.message().into());
+        let (requests, outbound) = mpsc::channel(1);
+        let send = async |kind| requests.send(DeliverRequest { kind: Some(kind) }).await.is_ok();
+        send(Kind::Header(header.into())).await;
+        let mut replies =
+            self.client.clone().deliver(ReceiverStream::new(outbound)).await.map_err(failed)?.into_inner();
+        if let Some(accepted) = receipt(replies.message().await.map_err(failed)?)? {
+            return Ok(accepted);
+        }
+        for chunk in chunks(payload, header.digest) {
+            // Whoever does not listen any more has said why.
+            if !send(Kind::Chunk(chunk)).await {
+                break;
+            }
+        }
+        drop(requests);
+        let accepted = receipt(replies.message().await.map_err(failed)?)?;
+        accepted.ok_or_else(|| TaskError::Deliver("the coordinator asked for the result twice".into()))
+    }
+}
+
+/// What the coordinator says of a delivery: whether it counts, or `None`: there is room for it now.
+fn receipt(reply: Option<DeliverReply>) -> Result<Option<bool>, TaskError> {
+    match reply.and_then(|r| r.kind) {
+        Some(deliver_reply::Kind::Receipt(receipt)) => Ok(Some(receipt.accepted)),
+        Some(deliver_reply::Kind::Proceed(_)) => Ok(None),
+        None => Err(TaskError::Deliver("the coordinator did not answer".into())),
     }
 }

@@ -1,0 +1,43 @@
+//! Telling workers from whom they get what they read, and who may have it from here.
+
+use super::Driver;
+use super::handle::Source;
+use crate::random::random_u64;
+use gatherlight_proto::Digest;
+use gatherlight_proto::message::{BlobRef, PassTicket, Route, ToWorker};
+
+impl Driver {
+    /// Tells the workers that relay, and have the memory for it, to get `blob` and pass it on.
+    pub(super) fn announce(&mut self, blob: BlobRef) {
+        let mut ticket = [0; 16];
+        ticket[..8].copy_from_slice(&random_u64().to_le_bytes());
+        ticket[8..].copy_from_slice(&random_u64().to_le_bytes());
+        let members = self.sessions.relays(blob.bytes);
+        for (worker, route) in self.broadcasts.announce(blob, PassTicket(ticket), members) {
+            self.send(worker, ToWorker::Route(route));
+        }
+    }
+
+    /// From whom the worker of this session gets this digest; a scene blob is announced when the first one asks.
+    pub(super) fn locate(&mut self, session: u64, digest: Digest) -> Option<Route> {
+        let worker = self.sessions.worker(session)?;
+        let source = self.source(digest)?;
+        if !self.broadcasts.is_announced(digest) {
+            self.announce(BlobRef { digest, bytes: source.len(&self.store)? });
+        }
+        let (relays, sessions) = (self.sessions.relays_itself(worker), &self.sessions);
+        self.broadcasts.route(digest, worker, relays, |w| sessions.is_open(w))
+    }
+
+    /// The bytes that this ticket lets its holder have from here.
+    pub(super) fn pass(&self, digest: Digest, ticket: &PassTicket) -> Option<Source> {
+        self.broadcasts.admits(digest, ticket).then(|| self.source(digest)).flatten()
+    }
+
+    /// Forgets the ways of what no job serves any more.
+    pub(super) fn end_broadcasts(&mut self) {
+        let mut broadcasts = std::mem::take(&mut self.broadcasts);
+        broadcasts.retain(|digest| self.source(digest).is_some());
+        self.broadcasts = broadcasts;
+    }
+}

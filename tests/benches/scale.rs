@@ -1,0 +1,220 @@
+//! How far adding workers makes a job faster: parallel efficiency at 1 to 1,000 workers, by the real scheduler under a virtual
+//! network and clock.
+//!
+//! The rates are measured here, on one thread, on cornell-caustic; the machines are a model. Every worker and the coordinator
+//! have [`THREADS`] threads, each as fast as the one measured, and one full-duplex link. A worker computes one lease at a time
+//! while results travel. The coordinator's link takes in one result after the other; a map is built by all of its threads, travels
+//! as the relay's plan has it, and is decoded by each worker. Efficiency is the computing time of all leases over workers × time
+//! until the job ends.
+//!
+//! `cargo bench -p gatherlight-tests --bench scale`: the table; `-- --real`: real processes against the model instead, 1 to 8 workers
+//! that are slowed so that two cores are enough for all of them.
+
+#[path = "scale/real.rs"]
+mod real;
+
+use gatherlight::schedule::Policy;
+use gatherlight_proto::payload;
+use gatherlight_render::job::{Inputs, Phase, PreparedJob};
+use gatherlight_render::photon::merge::Merger;
+use gatherlight_render::photon::{EmissionRange, MapKind};
+use gatherlight_render::settings::{Method, RenderSettings};
+use gatherlight_tests::pipeline::Link;
+use gatherlight_tests::scene;
+use gatherlight_tests::simulation::{Conditions, Costs, Report, simulate};
+use std::sync::Arc;
+use std::time::Instant;
+
+const WORKERS: [usize; 5] = [1, 8, 64, 512, 1_000];
+const GBITS: [f64; 3] = [1.0, 10.0, 100.0];
+/// Threads of a machine.
+const THREADS: f64 = 16.0;
+/// Photon paths of the large job.
+const PATHS: u64 = 1_000_000_000;
+/// Its image and samples a pixel.
+const IMAGE: (u32, u32, u32) = (7_680, 4_320, 64);
+/// Rounds of the job in rounds.
+const ROUNDS: u32 = 64;
+/// Photon paths and camera samples a pixel that are timed.
+const TIMED: (u64, u32) = (300_000, 4);
+
+/// Seconds of one thread, and bytes.
+#[derive(Clone, Copy, Debug)]
+struct Rates {
+    path: f64,
+    /// Of a tile, for each sample a pixel.
+    tile_sample: f64,
+    stored_per_path: f64,
+    photon_bytes: f64,
+    tile_bytes: f64,
+    decode_photon: f64,
+    build_photon: f64,
+    read_photon: f64,
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let begun = Instant::now();
+    let result = work();
+    (result, begun.elapsed().as_secs_f64())
+}
+
+/// Measured on the current pool.
+fn measure(method: Method) -> Rates {
+    let (paths, samples) = TIMED;
+    let settings = RenderSettings {
+        method,
+        width: 128,
+        height: 128,
+        samples,
+        rounds: 1,
+        photons: paths,
+        caustic_photons: 0,
+        ..RenderSettings::for_method(method)
+    };
+    let bundle = scene("cornell-caustic.glb");
+    let job = PreparedJob::prepare(&bundle, &settings).unwrap_or_else(|e| panic!("{e}"));
+    let range = EmissionRange { first: 0, end: paths };
+    let mut inputs = Inputs::default();
+    let mut rates = Rates {
+        path: 0.0,
+        tile_sample: 0.0,
+        stored_per_path: 0.0,
+        photon_bytes: 0.0,
+        tile_bytes: 0.0,
+        decode_photon: 0.0,
+        build_photon: 0.0,
+        read_photon: 0.0,
+    };
+    if job.phases().iter().any(|p| matches!(p, Phase::Emission { .. })) {
+        let (batch, emission) = timed(|| job.emit(0, MapKind::Global, range));
+        let photons = batch.len() as f64;
+        let (encoded, encode) = timed(|| payload::photons::encode_batch(&batch));
+        let directions = job.photon_directions(MapKind::Global);
+        let (decoded, decode) =
+            timed(|| payload::photons::decode_batch(&encoded, range, directions).expect("is whole"));
+        let (map, build) = timed(|| {
+            let mut merger = Merger::new(MapKind::Global, range);
+            merger.insert(decoded).expect("is new");
+            let map = job.build_map(MapKind::Global, merger.finish().expect("is whole"));
+            (payload::map::encode_map(&map), map)
+        });
+        let (read, reading) = timed(|| payload::map::decode_map(&map.0, MapKind::Global, u64::MAX).expect("is whole"));
+        inputs.maps.insert(Arc::new(read));
+        rates = Rates {
+            path: (emission + encode) / paths as f64,
+            stored_per_path: photons / paths as f64,
+            photon_bytes: encoded.len().max(map.0.len()) as f64 / photons,
+            decode_photon: decode / photons,
+            build_photon: build / photons,
+            read_photon: reading / photons,
+            ..rates
+        };
+    }
+    let tiles = job.grid().len();
+    let (rendered, gather) = timed(|| (0..tiles).map(|t| job.gather(&inputs, 0, t, None)).collect::<Vec<_>>());
+    let bytes = payload::gather::encode(&rendered, job.channels().len(), None).len();
+    let tiles = f64::from(tiles);
+    Rates { tile_sample: gather / tiles / f64::from(samples), tile_bytes: bytes as f64 / tiles, ..rates }
+}
+
+/// A job of the table.
+struct Large {
+    title: &'static str,
+    method: Method,
+    phases: Vec<Phase>,
+    /// Samples a pixel of one round.
+    samples: f64,
+}
+
+fn tiles() -> u32 {
+    IMAGE.0.div_ceil(16) * IMAGE.1.div_ceil(16)
+}
+
+fn jobs() -> Vec<Large> {
+    let (map, samples) = (MapKind::Global, f64::from(IMAGE.2));
+    let emission = |round, paths| Phase::Emission { round, map, paths };
+    let gather = |round| Phase::Gather { round, tiles: tiles() };
+    let rounds = |round| [emission(round, PATHS / u64::from(ROUNDS)), gather(round)];
+    vec![
+        Large { title: "path", method: Method::Path, phases: vec![gather(0)], samples },
+        Large {
+            title: "photon, one map",
+            method: Method::Photon,
+            phases: vec![emission(0, PATHS), gather(0)],
+            samples,
+        },
+        Large {
+            title: "progressive, 64 rounds",
+            method: Method::Progressive,
+            phases: (0..ROUNDS).flat_map(rounds).collect(),
+            samples: samples / f64::from(ROUNDS),
+        },
+    ]
+}
+
+/// The model's costs on machines of [`THREADS`] threads. A coordinator that closes a round reads each pixel once, and writes each to
+/// the file at the end.
+fn costs(r: &Rates, samples: f64, gbit: f64) -> Costs {
+    let pixels = f64::from(IMAGE.0) * f64::from(IMAGE.1);
+    Costs {
+        link: Link { bytes_per_second: gbit * 125e6, latency: 200e-6 },
+        path: r.path / THREADS,
+        tile: r.tile_sample * samples / THREADS,
+        stored_per_path: r.stored_per_path,
+        photon_bytes: r.photon_bytes,
+        tile_bytes: r.tile_bytes,
+        decode_photon: r.decode_photon / THREADS,
+        build_photon: r.build_photon / THREADS,
+        read_photon: r.read_photon / THREADS,
+        close: pixels * 20e-9 / THREADS,
+    }
+}
+
+/// Seconds that one worker would compute.
+fn work(phases: &[Phase], c: &Costs) -> f64 {
+    let seconds = |p: &Phase| p.units() as f64 * if p.makes_image() { c.tile } else { c.path };
+    phases.iter().map(seconds).sum()
+}
+
+fn run(phases: &[Phase], workers: usize, costs: Costs, policy: Policy) -> Report {
+    let phases = phases.to_vec();
+    let costs = Some(costs);
+    simulate(1, &Conditions { workers, jobs: 1, phases, costs, policy, delay: 200, ..Conditions::fair() })
+}
+
+fn on_one_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool").install(work)
+}
+
+fn table() {
+    println!("| job | Gbit/s | {} |", WORKERS.map(|w| format!("{w} workers")).join(" | "));
+    println!("|---|---|{}", "---|".repeat(WORKERS.len()));
+    for large in jobs() {
+        let rates = on_one_thread(|| measure(large.method));
+        eprintln!("{}: {rates:?}", large.title);
+        for gbit in GBITS {
+            let c = costs(&rates, large.samples, gbit);
+            let cell = |workers: usize| {
+                let (report, wall) = timed(|| run(&large.phases, workers, c, Policy::default()));
+                let seconds = report.elapsed as f64 * 1e-6;
+                let efficiency = work(&large.phases, &c) / (workers as f64 * seconds);
+                let (received, maps) = (report.result_bytes as f64 * 1e-9, report.broadcast_bytes as f64 * 1e-9);
+                eprintln!(
+                    "{}, {gbit} Gbit/s, {workers}: {seconds:.1} s, idle {:.3}, results {received:.1} GB, maps {maps:.1} GB, \
+                     {} leases again; simulated in {wall:.1} s",
+                    large.title, report.idle_fraction, report.retried
+                );
+                format!("{:.0} % ({seconds:.0} s)", efficiency * 100.0)
+            };
+            println!("| {} | {gbit} | {} |", large.title, WORKERS.map(cell).join(" | "));
+        }
+    }
+}
+
+fn main() {
+    // `cargo test --benches` would run it too.
+    if !std::env::args().any(|a| a == "--bench") {
+        return;
+    }
+    if std::env::args().any(|a| a == "--real") { real::compare() } else { table() }
+}
