@@ -9,17 +9,18 @@ ENV CARGO_PROFILE_RELEASE_DEBUG=false CARGO_PROFILE_RELEASE_STRIP=symbols
 COPY Cargo.toml Cargo.lock ./
 COPY render/Cargo.toml render/
 COPY proto/Cargo.toml proto/
+COPY telemetry/Cargo.toml telemetry/
 COPY coordinator/Cargo.toml coordinator/
 COPY worker/Cargo.toml worker/
 COPY tests/Cargo.toml tests/
 RUN sed -i '/^\[\[/,/^$/d' */Cargo.toml \
-    && for crate in render proto coordinator worker tests; do mkdir -p $crate/src && touch $crate/src/lib.rs; done \
+    && for crate in render proto telemetry coordinator worker tests; do mkdir -p $crate/src && touch $crate/src/lib.rs; done \
     && for program in coordinator/src/main worker/src/main proto/build; do echo 'fn main() {}' > $program.rs; done \
     && cargo build --release --locked --package gatherlight --package gatherlight-worker
 
 # Cargo rebuilds what is newer than its last build, and a checkout's files may be older than the empty crates.
 COPY . .
-RUN find render proto coordinator worker -name '*.rs' -exec touch {} + \
+RUN find render proto telemetry coordinator worker -name '*.rs' -exec touch {} + \
     && cargo build --release --locked --package gatherlight --package gatherlight-worker --bins
 
 FROM debian:bookworm-slim AS base
@@ -34,7 +35,7 @@ EXPOSE 7420
 VOLUME /var/lib/gatherlight
 STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=5s --timeout=5s --start-period=30s --retries=3 \
-    CMD ["gatherlight", "workers", "--json", "--coordinator", "http://127.0.0.1:7420"]
+    CMD ["gatherlight", "health"]
 ENTRYPOINT ["gatherlight"]
 CMD ["serve", "--listen", "0.0.0.0:7420", "--store", "/var/lib/gatherlight"]
 

@@ -1,11 +1,12 @@
 //! Speaks to a coordinator elsewhere.
 
 use crate::manifest;
-use crate::random::random_u64;
+use crate::random::{random_bytes, random_u64};
 use crate::types::{JobId, JobProgress, Limits, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::chunk::{Assembler, chunks};
 use gatherlight_proto::connect::{Stamp, endpoint, pause, reason};
+use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::error::truncated;
 use gatherlight_proto::limits::{MAX_IMAGE_BYTES, MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use gatherlight_proto::version::Versions;
@@ -59,6 +60,14 @@ pub enum ClientError {
     /// Both sides speak different protocol versions; the text names them.
     #[error("{0}")]
     Version(String),
+    /// The token or certificate is missing, unknown, or does not allow it.
+    #[error("the coordinator at {url} refuses: {reason}")]
+    Denied {
+        /// Its address.
+        url: String,
+        /// Its reason.
+        reason: String,
+    },
     /// There is no such job, or its image is not there.
     #[error("{0}")]
     NotFound(String),
@@ -161,7 +170,15 @@ pub struct Client {
 /// # Errors
 /// When the URL makes no sense, nothing answers (the text has the address), or the versions differ (it has both).
 pub async fn connect(url: &str, attempts: u32) -> Result<Client, ClientError> {
-    connect_as(url, attempts, Versions::own()).await
+    connect_with(url, attempts, &Credentials::default()).await
+}
+
+/// As [`connect`], proving itself by `credentials`; `https://HOST:PORT` where they name an authority to trust.
+///
+/// # Errors
+/// As [`connect`], and when the coordinator does not know the token or certificate.
+pub async fn connect_with(url: &str, attempts: u32, credentials: &Credentials) -> Result<Client, ClientError> {
+    open(url, attempts, credentials, Versions::own()).await
 }
 
 /// As [`connect`], claiming other versions than this build's; for tests.
@@ -169,7 +186,11 @@ pub async fn connect(url: &str, attempts: u32) -> Result<Client, ClientError> {
 /// # Errors
 /// As [`connect`].
 pub async fn connect_as(url: &str, attempts: u32, versions: Versions) -> Result<Client, ClientError> {
-    let endpoint = endpoint(url).map_err(|reason| ClientError::Url { url: url.into(), reason })?;
+    open(url, attempts, &Credentials::default(), versions).await
+}
+
+async fn open(url: &str, attempts: u32, credentials: &Credentials, versions: Versions) -> Result<Client, ClientError> {
+    let endpoint = endpoint(url, credentials).map_err(|reason| ClientError::Url { url: url.into(), reason })?;
     let attempts = attempts.max(1);
     let mut last = String::new();
     for attempt in 0..attempts {
@@ -178,7 +199,7 @@ pub async fn connect_as(url: &str, attempts: u32, versions: Versions) -> Result<
         }
         match endpoint.connect().await {
             Ok(channel) => {
-                let jobs = JobsClient::with_interceptor(channel, Stamp(versions));
+                let jobs = JobsClient::with_interceptor(channel, Stamp::new(versions, credentials));
                 let jobs = jobs.max_decoding_message_size(MAX_MESSAGE_BYTES);
                 let client = Client { url: url.into(), notice: Notice(Arc::new(|_| {})), jobs };
                 client.greet().await?;
@@ -209,6 +230,9 @@ impl Client {
         let text = status.message().to_owned();
         match status.code() {
             Code::NotFound => ClientError::NotFound(text),
+            Code::Unauthenticated | Code::PermissionDenied => {
+                ClientError::Denied { url: self.url.to_string(), reason: text }
+            }
             Code::FailedPrecondition if text.starts_with("version mismatch") => ClientError::Version(text),
             Code::InvalidArgument | Code::FailedPrecondition | Code::ResourceExhausted => ClientError::Refused(text),
             _ => self.transport(text),
@@ -271,8 +295,7 @@ impl Client {
         mut uploaded: impl FnMut(u64, u64) + Send,
     ) -> Result<JobId, ClientError> {
         // However often it is sent, it is one job.
-        let request_key: [u8; 16] =
-            [random_u64(), random_u64()].map(u64::to_le_bytes).concat().try_into().unwrap_or_default();
+        let request_key: [u8; 16] = random_bytes();
         let mut retries = Retries::default();
         loop {
             match self.submit_once(request, request_key, &mut uploaded).await {

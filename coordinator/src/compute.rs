@@ -3,12 +3,15 @@
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::oneshot;
 
 /// Shared handle to a pool of compute threads.
 #[derive(Clone, Debug)]
 pub struct Compute {
     pool: Arc<ThreadPool>,
+    /// Computations that wait or run.
+    open: Arc<AtomicUsize>,
 }
 
 /// A computation that did not come to its end.
@@ -24,11 +27,15 @@ impl Compute {
     pub fn new(threads: usize) -> Result<Self, String> {
         let builder = ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("compute-{i}"));
         let pool = builder.build().map_err(|e| e.to_string())?;
-        Ok(Compute { pool: Arc::new(pool) })
+        Ok(Compute { pool: Arc::new(pool), open: Arc::default() })
     }
     /// The pool itself.
     pub fn pool(&self) -> &Arc<ThreadPool> {
         &self.pool
+    }
+    /// Computations that wait or run.
+    pub fn open(&self) -> usize {
+        self.open.load(Ordering::Relaxed)
     }
     /// Runs `f` on the pool without waiting, then `report` with what came of it: always, even when `f` panics.
     pub fn spawn<T>(
@@ -36,11 +43,14 @@ impl Compute {
         f: impl FnOnce() -> T + Send + 'static,
         report: impl FnOnce(Result<T, Panicked>) + Send + 'static,
     ) {
+        let open = self.open.clone();
+        open.fetch_add(1, Ordering::Relaxed);
         self.pool.spawn(move || {
             let result = catch_unwind(AssertUnwindSafe(f)).map_err(|panic| Panicked(message(&*panic)));
             if let Err(error) = &result {
                 tracing::error!(%error);
             }
+            open.fetch_sub(1, Ordering::Relaxed);
             report(result);
         });
     }

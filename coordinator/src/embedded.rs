@@ -1,10 +1,12 @@
 //! A whole job in this process: the cluster's own coordinator and workers, joined by in-memory streams. The only file
 //! here that knows the worker.
 
+use crate::access::Access;
 use crate::compute::Compute;
+use crate::counters::Counters;
 use crate::driver::{Driver, DriverConfig, Handle, KeepImage, Sink, Spec};
 use crate::manifest;
-use crate::random::random_u64;
+use crate::random::random_bytes;
 use crate::room::Rooms;
 use crate::schedule::Policy;
 use crate::server::DEFAULT_RESULT_BYTES;
@@ -134,6 +136,7 @@ async fn rendered(
     progress: impl FnMut(&JobProgress) + Send,
 ) -> Result<JobResult, RenderError> {
     let compute = Compute::new(config.threads).map_err(RenderError::Start)?;
+    let counters = Arc::new(Counters::default());
     let shared = Shared::default();
     let driver_config = DriverConfig {
         // Nobody else will turn up in this process.
@@ -142,6 +145,7 @@ async fn rendered(
         // It is the caller's own memory, and `plan` has told what it takes.
         max_job_bytes: u64::MAX,
         keep: KeepImage::Film,
+        counters: counters.clone(),
         heartbeat: HEARTBEAT,
         sink: Some(Arc::new(InProcess(shared.clone()))),
     };
@@ -150,7 +154,8 @@ async fn rendered(
     let spec = spec(bundle, prepared, config.limits);
     shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
     let job = driver.submit(spec).await.map_err(|e| RenderError::Refused(e.to_string()))?;
-    let context = Context { driver: driver.clone(), compute, store, rooms: Rooms::new(DEFAULT_RESULT_BYTES) };
+    let rooms = Rooms::new(DEFAULT_RESULT_BYTES);
+    let context = Context { driver: driver.clone(), compute, store, rooms, access: Access::Open, counters };
     start_cluster(runtime, context, config, &shared).await;
     let last = follow(&driver, job, progress).await?;
     match last.state {
@@ -163,17 +168,15 @@ async fn rendered(
 }
 
 fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>, limits: Limits) -> Spec {
-    let mut request_key = [0; 16];
-    request_key[..8].copy_from_slice(&random_u64().to_le_bytes());
-    let (manifest, _) = manifest::pack(bundle);
     let (name, settings) = (bundle.name.clone(), prepared.settings().clone());
-    Spec { name, request_key, limits, ..Spec::new(manifest, settings, prepared) }
+    let (manifest, _) = manifest::pack(bundle);
+    Spec { name, request_key: random_bytes(), limits, ..Spec::new(manifest, settings, prepared) }
 }
 
 /// The coordinator's services and the workers, joined by pipes.
 async fn start_cluster(runtime: &Runtime, context: Context, config: &Config, shared: &Shared) {
     let (pipes, incoming) = mpsc::channel::<DuplexStream>(config.workers.max(1));
-    let router = service::router(context).await;
+    let router = service::router(service::server(), context).await;
     let incoming = ReceiverStream::new(incoming).map(Ok::<_, io::Error>);
     runtime.spawn(async move {
         if let Err(error) = router.serve_with_incoming(incoming).await {

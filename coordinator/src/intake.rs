@@ -15,6 +15,8 @@ use std::sync::Arc;
 pub(crate) struct Submission {
     /// Name for listings.
     pub(crate) name: String,
+    /// Name of the token that submits it; empty where there are none.
+    pub(crate) owner: String,
     /// Makes a repeated submission the same job.
     pub(crate) request_key: [u8; 16],
     /// The scene's files, all in the store.
@@ -25,8 +27,6 @@ pub(crate) struct Submission {
     pub(crate) limits: Limits,
     /// Jobs of higher priority get workers first.
     pub(crate) priority: i32,
-    /// Who submits it; empty: anybody.
-    pub(crate) owner: String,
 }
 
 /// Why a submission did not become a job.
@@ -56,7 +56,7 @@ pub(crate) async fn submit(
     store: &Arc<Store>,
     submission: Submission,
 ) -> Result<JobId, IntakeError> {
-    if let Some(job) = driver.find(submission.request_key).await {
+    if let Some(job) = driver.find(&submission.owner, submission.request_key).await {
         return Ok(job);
     }
     let Submission { name, request_key, manifest, settings, limits, priority, owner } = submission;

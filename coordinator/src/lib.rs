@@ -7,17 +7,20 @@
 //!
 //! What they report is in [`types`].
 
+pub mod access;
 mod assemble;
 pub mod broadcast;
 pub mod cli;
 pub mod client;
 pub mod compute;
 pub mod converge;
+pub mod counters;
 pub mod driver;
 pub mod embedded;
 mod intake;
 mod manifest;
 mod merge;
+mod metrics;
 mod random;
 mod reduce;
 pub mod report;

@@ -1,16 +1,20 @@
-//! Numbers that cannot be guessed, for ids and sessions. Never for light transport.
+//! Numbers that cannot be guessed, for ids, sessions and tokens. Never for light transport.
 
-use std::collections::hash_map::RandomState;
-use std::hash::{BuildHasher, Hasher};
-use std::sync::atomic::{AtomicU64, Ordering};
+/// `N` random bytes of the operating system.
+///
+/// # Panics
+/// When it has none, which a running system always has: without them nothing here would be secret.
+pub(crate) fn random_bytes<const N: usize>() -> [u8; N] {
+    let mut bytes = [0; N];
+    if let Err(error) = getrandom::fill(&mut bytes) {
+        panic!("the operating system gives no random numbers: {error}");
+    }
+    bytes
+}
 
-static COUNTER: AtomicU64 = AtomicU64::new(0);
-
-/// 64 random bits: SipHash of a counter under keys that the operating system drew.
+/// 64 random bits.
 pub(crate) fn random_u64() -> u64 {
-    let mut hasher = RandomState::new().build_hasher();
-    hasher.write_u64(COUNTER.fetch_add(1, Ordering::Relaxed));
-    hasher.finish()
+    u64::from_le_bytes(random_bytes())
 }
 
 #[cfg(test)]

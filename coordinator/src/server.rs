@@ -1,11 +1,15 @@
 //! A coordinator that listens for workers and clients.
 
+use crate::access::AccessConfig;
 use crate::compute::Compute;
+use crate::counters::Counters;
 use crate::driver::{Driver, DriverConfig, KeepImage};
+use crate::metrics;
 use crate::room::Rooms;
 use crate::schedule::Policy;
-use crate::service::{self, Context};
+use crate::service::{self, ConnectionLimits, Context, Incoming};
 use crate::store::Store;
+use gatherlight_proto::connect::reason;
 use gatherlight_proto::limits::HEARTBEAT;
 use std::future::Future;
 use std::net::SocketAddr;
@@ -14,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
-use tonic::transport::server::TcpIncoming;
+use tonic::transport::ServerTlsConfig;
 
 /// Time open streams have to end once shutdown has begun.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(2);
@@ -41,6 +45,10 @@ pub struct ServeConfig {
     pub max_result_bytes: u64,
     /// The scheduler's constants.
     pub policy: Policy,
+    /// What workers and clients have to prove.
+    pub access: AccessConfig,
+    /// Address of the metrics; none: they are not served.
+    pub metrics: Option<SocketAddr>,
 }
 
 impl ServeConfig {
@@ -55,6 +63,8 @@ impl ServeConfig {
             max_job_bytes: 16 << 30,
             max_result_bytes: DEFAULT_RESULT_BYTES,
             policy: Policy::default(),
+            access: AccessConfig::default(),
+            metrics: None,
         }
     }
 }
@@ -70,6 +80,9 @@ pub enum ServeError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// Whoever connects would have to prove nothing, or a token file or certificate makes no sense.
+    #[error("{0}")]
+    Access(String),
     /// The store's directory cannot be used.
     #[error("cannot use {} as the store: {source}", path.display())]
     Store {
@@ -91,6 +104,8 @@ pub enum ServeError {
 pub struct Server {
     listener: TcpListener,
     address: SocketAddr,
+    tls: Option<ServerTlsConfig>,
+    metrics: Option<TcpListener>,
     context: Context,
 }
 
@@ -100,28 +115,42 @@ impl Server {
     /// # Errors
     /// When store, address or threads cannot be had.
     pub async fn bind(config: ServeConfig) -> Result<Self, ServeError> {
+        let (access, tls) = config.access.open(config.listen).map_err(ServeError::Access)?;
         let store_error = |source| ServeError::Store { path: config.store.clone(), source };
         let store = Store::open(&config.store, config.max_store_bytes).map_err(store_error)?;
         let compute = Compute::new(config.threads).map_err(ServeError::Start)?;
-        let listen_error = |source| ServeError::Listen { address: config.listen, source };
-        let listener = TcpListener::bind(config.listen).await.map_err(listen_error)?;
-        let address = listener.local_addr().map_err(listen_error)?;
+        let (listener, address) = listen(config.listen).await?;
+        let metrics = match config.metrics {
+            Some(address) => Some(listen(address).await?.0),
+            None => None,
+        };
+        let counters = Arc::new(Counters::default());
         let store = Arc::new(store);
         let driver_config = DriverConfig {
             policy: config.policy.clone(),
             max_live_jobs: config.max_live_jobs,
             max_job_bytes: config.max_job_bytes,
             keep: KeepImage::Exr,
+            counters: counters.clone(),
             heartbeat: HEARTBEAT,
             sink: None,
         };
         let driver = Driver::start(driver_config, compute.clone(), store.clone());
         let rooms = Rooms::new(config.max_result_bytes);
-        Ok(Server { listener, address, context: Context { driver, compute, store, rooms } })
+        let context = Context { driver, compute, store, rooms, access, counters };
+        Ok(Server { listener, address, tls, metrics, context })
     }
     /// The bound address, with the true port.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
+    }
+    /// Whether connections are encrypted.
+    pub fn is_encrypted(&self) -> bool {
+        self.tls.is_some()
+    }
+    /// Where metrics are served, with the true port.
+    pub fn metrics_addr(&self) -> Option<SocketAddr> {
+        self.metrics.as_ref().and_then(|m| m.local_addr().ok())
     }
     /// Serves until `shutdown` is ready, then gives open streams a moment to end.
     ///
@@ -138,8 +167,13 @@ impl Server {
             driver.shutdown().await;
             drop(begun);
         };
-        let incoming = TcpIncoming::from(self.listener).with_nodelay(Some(true));
-        let serving = service::router(self.context).await.serve_with_incoming_shutdown(incoming, shutdown);
+        let server = match self.tls {
+            Some(tls) => service::server().tls_config(tls).map_err(|e| ServeError::Access(reason(&e)))?,
+            None => service::server(),
+        };
+        let _metrics = self.metrics.map(|listener| metrics::serve(listener, self.context.clone()));
+        let incoming = Incoming::new(self.listener, ConnectionLimits::default(), self.context.counters.clone());
+        let serving = service::router(server, self.context).await.serve_with_incoming_shutdown(incoming, shutdown);
         let grace = async {
             drop::<Result<(), _>>(begins.await);
             tokio::time::sleep(SHUTDOWN_GRACE).await;
@@ -149,6 +183,13 @@ impl Server {
             () = grace => Ok(()),
         }
     }
+}
+
+async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServeError> {
+    let listen_error = |source| ServeError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(listen_error)?;
+    let bound = listener.local_addr().map_err(listen_error)?;
+    Ok((listener, bound))
 }
 
 /// [`Server::bind`] and [`Server::run`] in one. Runs on the caller's tokio runtime.

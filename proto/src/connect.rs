@@ -1,8 +1,10 @@
 //! How both workers and clients connect.
 
-use crate::limits::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use crate::credentials::Credentials;
+use crate::limits::{AUTHORIZATION_KEY, CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 use crate::version::Versions;
 use std::time::Duration;
+use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::transport::Endpoint;
 use tonic::{Request, Status};
@@ -16,20 +18,29 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// Longest pause between attempts.
 const MAX_PAUSE: Duration = Duration::from_secs(10);
 
-/// Checks a coordinator's URL.
+/// Where a coordinator is and how to reach it: `http://HOST:PORT`, or `https://HOST:PORT` with an authority to trust.
 ///
 /// # Errors
-/// What is wrong with it.
-pub fn endpoint(url: &str) -> Result<Endpoint, String> {
+/// What is wrong with the URL or the certificates.
+pub fn endpoint(url: &str, credentials: &Credentials) -> Result<Endpoint, String> {
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|e| e.to_string())?;
-    match endpoint.uri().scheme_str() {
-        Some("http") => {}
+    let encrypted = match endpoint.uri().scheme_str() {
+        Some("http") => false,
+        Some("https") => true,
         Some(other) => return Err(format!("the scheme {other:?} is not supported")),
         None => return Err("it has no scheme".into()),
-    }
+    };
     if endpoint.uri().host().is_none_or(str::is_empty) {
         return Err("it has no host".into());
     }
+    let endpoint = match (encrypted, credentials.tls()) {
+        (false, None) => endpoint,
+        (true, Some(tls)) => {
+            endpoint.tls_config(tls.clone()).map_err(|e| format!("its certificates: {}", reason(&e)))?
+        }
+        (true, None) => return Err("https asks for --tls-ca, the certificates of the authorities to trust".into()),
+        (false, Some(_)) => return Err("--tls-ca asks for an https:// URL".into()),
+    };
     Ok(tuned(endpoint))
 }
 
@@ -45,13 +56,26 @@ pub fn tuned(endpoint: Endpoint) -> Endpoint {
         .tcp_nodelay(true)
 }
 
-/// Puts the sender's versions on every call.
+/// Puts the sender's versions and token on every call.
 #[derive(Clone, Debug)]
-pub struct Stamp(pub Versions);
+pub struct Stamp {
+    versions: Versions,
+    authorization: Option<MetadataValue<Ascii>>,
+}
+
+impl Stamp {
+    /// Of a peer that runs `versions` and proves itself by `credentials`.
+    pub fn new(versions: Versions, credentials: &Credentials) -> Self {
+        Stamp { versions, authorization: credentials.authorization() }
+    }
+}
 
 impl Interceptor for Stamp {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
-        self.0.write(request.metadata_mut());
+        self.versions.write(request.metadata_mut());
+        if let Some(authorization) = &self.authorization {
+            request.metadata_mut().insert(AUTHORIZATION_KEY, authorization.clone());
+        }
         Ok(request)
     }
 }
@@ -78,10 +102,12 @@ mod tests {
 
     #[test]
     fn only_http_urls_with_a_host_are_taken() {
-        assert!(endpoint("http://localhost:7420").is_ok());
-        for bad in ["localhost:7420", "ftp://x:1", "https://x:1", "http://", "", "http://a b"] {
-            assert!(endpoint(bad).is_err(), "{bad:?}");
+        let none = Credentials::default();
+        assert!(endpoint("http://localhost:7420", &none).is_ok());
+        for bad in ["localhost:7420", "ftp://x:1", "http://", "", "http://a b"] {
+            assert!(endpoint(bad, &none).is_err(), "{bad:?}");
         }
+        assert!(endpoint("https://x:1", &none).expect_err("is refused").contains("--tls-ca"));
     }
 
     #[test]

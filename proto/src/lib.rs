@@ -6,12 +6,14 @@
 //! - [`chunk`]: bytes as a stream of bounded chunks, checked on arrival;
 //! - [`pieces`]: payloads in pieces that are checked one by one, for the broadcast;
 //! - [`stored`]: what the coordinator keeps of jobs in its store;
+//! - [`connect`], [`credentials`]: how workers and clients reach a coordinator and prove who they are;
 //! - [`limits`]: what a peer may send at most.
 #![deny(unsafe_code)]
 
 pub mod chunk;
 pub mod connect;
 pub mod convert;
+pub mod credentials;
 pub mod digest;
 pub mod error;
 pub mod limits;

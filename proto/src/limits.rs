@@ -9,6 +9,9 @@ pub const PROTOCOL_KEY: &str = "gatherlight-protocol";
 /// Metadata key of the sender's program version.
 pub const VERSION_KEY: &str = "gatherlight-version";
 
+/// Metadata key of the sender's token: `Bearer TOKEN`.
+pub const AUTHORIZATION_KEY: &str = "authorization";
+
 /// Payload bytes in one chunk: well under gRPC's default message limit of 4 MiB, large enough that the cost per
 /// message does not show.
 pub const CHUNK_BYTES: usize = 2 << 20;

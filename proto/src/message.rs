@@ -17,6 +17,16 @@ pub struct LeaseId(pub u64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct WorkerId(pub u64);
 
+/// The secret name of a worker's session, for its fetches and deliveries: 128 random bits. Never shown by `Debug`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SessionKey(pub [u8; 16]);
+
+impl fmt::Debug for SessionKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("SessionKey(…)")
+    }
+}
+
 /// A photon map to fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MapRef {
@@ -222,7 +232,7 @@ pub enum ToWorker {
         /// The session's number.
         worker: WorkerId,
         /// The session's secret name, to locate and deliver.
-        session: u64,
+        session: SessionKey,
         /// Time between heartbeats.
         heartbeat: Duration,
     },
@@ -249,7 +259,7 @@ pub enum ToWorker {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeliverHeader {
     /// From [`ToWorker::Welcome`].
-    pub session: u64,
+    pub session: SessionKey,
     /// The lease.
     pub lease: LeaseId,
     /// Its attempt.

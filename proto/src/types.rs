@@ -218,6 +218,8 @@ pub struct JobProgress {
     pub id: JobId,
     /// Its name, by default the scene file's.
     pub name: String,
+    /// Name of the token that submitted it; empty where there are no tokens.
+    pub owner: String,
     /// Where it stands.
     pub state: JobState,
     /// The round that is worked on, from 0.

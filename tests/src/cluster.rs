@@ -83,6 +83,10 @@ impl Coordinator {
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
+    /// Its URL, where connections are encrypted.
+    pub fn encrypted_url(&self) -> String {
+        format!("https://localhost:{}", self.address.port())
+    }
     /// A client of it.
     ///
     /// # Panics
@@ -101,10 +105,7 @@ impl Coordinator {
     /// When the URL makes no sense.
     pub fn worker_with(&self, config: WorkerConfig) -> Worker {
         let connector = Connector::url(&self.url()).unwrap_or_else(|e| panic!("{e}"));
-        let (stop, stopped) = oneshot::channel::<()>();
-        let shutdown = async { drop(stopped.await) };
-        let task = tokio::spawn(gatherlight_worker::run(config, connector, shutdown));
-        Worker { stop: Some(stop), task }
+        Worker::start(config, connector)
     }
     /// Asks it to stop and waits until it has.
     ///
@@ -130,6 +131,13 @@ pub struct Worker {
 }
 
 impl Worker {
+    /// Lets it join wherever `connector` leads.
+    pub fn start(config: WorkerConfig, connector: Connector) -> Self {
+        let (stop, stopped) = oneshot::channel::<()>();
+        let shutdown = async { drop(stopped.await) };
+        let task = tokio::spawn(gatherlight_worker::run(config, connector, shutdown));
+        Worker { stop: Some(stop), task }
+    }
     /// Asks it to leave, and waits until it has.
     ///
     /// # Errors

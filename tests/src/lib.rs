@@ -5,6 +5,7 @@ pub mod calibration;
 pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
+pub mod fuzz;
 pub mod pipeline;
 pub mod processes;
 pub mod proxy;

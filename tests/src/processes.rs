@@ -80,6 +80,26 @@ pub fn high_water(id: u32) -> Option<u64> {
     kib.map(|k: u64| k * 1024)
 }
 
+/// A program's arguments as the system shows them to everyone.
+///
+/// # Panics
+/// When they cannot be read.
+pub fn shown_arguments(process: &Process) -> String {
+    let path = format!("/proc/{}/cmdline", process.0.id());
+    std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{path}: {e}")).replace('\0', " ")
+}
+
+/// The program `name` with its messages going to the file `log`.
+///
+/// # Panics
+/// When it does not start.
+pub fn logged(name: &str, arguments: &[&str], log: &Path) -> Process {
+    let file = std::fs::File::create(log).unwrap_or_else(|e| panic!("{}: {e}", log.display()));
+    let mut command = Command::new(program(name));
+    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
+    Process(command.spawn().expect("starts"))
+}
+
 /// A coordinator on a free port; returns its URL as well.
 ///
 /// # Panics

@@ -3,6 +3,7 @@
 use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::chunks;
 use gatherlight_proto::connect::Stamp;
+use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::limits::CHUNK_BYTES;
 use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::cluster_client::ClusterClient;
@@ -11,6 +12,8 @@ use gatherlight_proto::wire::jobs_client::JobsClient;
 use gatherlight_proto::wire::relay_client::RelayClient;
 use gatherlight_proto::wire::{self, Chunk, DeliverRequest, WorkerMessage};
 use gatherlight_tests::cluster::{Coordinator, PATIENCE, small_leases};
+use std::time::{Duration, Instant};
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
@@ -29,7 +32,7 @@ async fn peer() -> Peer {
     let store = tempfile::tempdir().expect("a directory");
     let coordinator = Coordinator::start(store.path(), small_leases()).await;
     let channel = Endpoint::from_shared(coordinator.url()).expect("a URL").connect().await.expect("connects");
-    let stamp = Stamp(Versions::own());
+    let stamp = Stamp::new(Versions::own(), &Credentials::default());
     Peer {
         _store: store,
         coordinator,
@@ -122,9 +125,9 @@ async fn sessions_that_begin_wrongly_are_refused() {
 #[tokio::test]
 async fn fetches_and_deliveries_without_a_session_get_nothing() {
     let p = peer().await;
-    let request = wire::LocateRequest { session: 12345, digest: Digest([7; 32]).to_bytes() };
+    let request = wire::LocateRequest { session: vec![7; 16].into(), digest: Digest([7; 32]).to_bytes() };
     assert_eq!(code(p.cluster.clone().locate(request).await), Code::NotFound);
-    let request = wire::LocateRequest { session: 12345, digest: vec![7; 5].into() };
+    let request = wire::LocateRequest { session: vec![7; 16].into(), digest: vec![7; 5].into() };
     assert_eq!(code(p.cluster.clone().locate(request).await), Code::InvalidArgument);
     let pass = async |ticket: usize, stripe, first| {
         let (digest, ticket) = (Digest([7; 32]).to_bytes(), vec![1; ticket].into());
@@ -135,8 +138,16 @@ async fn fetches_and_deliveries_without_a_session_get_nothing() {
 
     let data = bytes::Bytes::from_static(b"junk");
     let digest = Digest::of(&data).to_bytes();
-    let header =
-        wire::DeliverHeader { session: 1, lease: 2, attempt: 3, first: 4, end: 5, busy_micros: 6, bytes: 4, digest };
+    let header = wire::DeliverHeader {
+        session: vec![7; 16].into(),
+        lease: 2,
+        attempt: 3,
+        first: 4,
+        end: 5,
+        busy_micros: 6,
+        bytes: 4,
+        digest,
+    };
     let request = |header| DeliverRequest { kind: Some(Kind::Header(header)) };
     let pieces: Vec<_> =
         chunks(data.clone(), Digest::of(&data)).map(|c| DeliverRequest { kind: Some(Kind::Chunk(c)) }).collect();
@@ -174,4 +185,155 @@ async fn the_standard_health_service_answers_without_versions() {
         let reply = health.check(request).await.expect("is answered").into_inner();
         assert_eq!(reply.status(), ServingStatus::Serving, "{service:?}");
     }
+}
+
+/// A connection that sends `first` and then a byte now and then; the time until it was closed.
+async fn drip(address: std::net::SocketAddr, first: &[u8]) -> Duration {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    let begin = Instant::now();
+    let stream = tokio::net::TcpStream::connect(address).await.expect("connects");
+    let (mut reading, mut writing) = stream.into_split();
+    writing.write_all(first).await.expect("is sent");
+    let dripping = async {
+        // Bytes of the HTTP/2 preface, slowly, and for ever.
+        for byte in b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".iter().cycle() {
+            tokio::time::sleep(Duration::from_secs(1)).await;
+            if writing.write_all(&[*byte]).await.is_err() {
+                return;
+            }
+        }
+    };
+    let closed = async {
+        let mut answer = Vec::new();
+        drop(reading.read_to_end(&mut answer).await);
+    };
+    let closing = async {
+        tokio::select! {
+            () = dripping => {}
+            () = closed => {}
+        }
+    };
+    tokio::time::timeout(PATIENCE, closing).await.expect("is closed in time");
+    begin.elapsed()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_drips_bytes_or_stays_silent_is_closed_while_others_are_served() {
+    let p = peer().await;
+    // The whole preface and settings of HTTP/2, and then no call; the half of it; and nothing.
+    let settings = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+    let address = p.coordinator.address;
+    let loris =
+        tokio::spawn(async move { tokio::join!(drip(address, settings), drip(address, b"P"), drip(address, b"")) });
+    while !loris.is_finished() {
+        assert!(p.jobs.clone().list(wire::ListRequest {}).await.is_ok());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let (whole, half, nothing) = loris.await.expect("did not panic");
+    for time in [whole, half, nothing] {
+        assert!(time < Duration::from_secs(20), "{time:?}");
+    }
+    // A connection that made one good call may stay for ever.
+    assert!(p.jobs.clone().list(wire::ListRequest {}).await.is_ok());
+}
+
+#[tokio::test]
+async fn a_port_scanner_cannot_take_all_connections() {
+    let p = peer().await;
+    let mut held = Vec::new();
+    for _ in 0..400 {
+        held.push(tokio::net::TcpStream::connect(p.coordinator.address).await.expect("connects"));
+    }
+    // Those who are known go on, and once the scanner's connections are over, new ones are taken.
+    assert!(p.jobs.clone().list(wire::ListRequest {}).await.is_ok());
+    drop(held);
+    let connecting = async {
+        while gatherlight::client::connect(&p.coordinator.url(), 1).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, connecting).await.expect("is taken in time");
+}
+
+#[tokio::test]
+async fn a_worker_that_floods_is_dismissed() {
+    let p = peer().await;
+    let hello = wire::Hello { name: "w".into(), threads: 1, memory_bytes: 1, relay: None };
+    let hello = WorkerMessage { kind: Some(wire::worker_message::Kind::Hello(hello)) };
+    let heartbeat = WorkerMessage { kind: Some(wire::worker_message::Kind::Heartbeat(wire::Heartbeat {})) };
+    let flood = tokio_stream::iter(std::iter::once(hello).chain(std::iter::repeat_n(heartbeat, 100_000)));
+    let mut session = p.cluster.clone().join(flood).await.expect("joins").into_inner();
+    let ended = async { while let Ok(Some(_)) = session.message().await {} };
+    tokio::time::timeout(PATIENCE, ended).await.expect("is dismissed");
+    assert!(
+        p.jobs.clone().workers(wire::WorkersRequest {}).await.expect("is answered").into_inner().workers.is_empty()
+    );
+}
+
+#[tokio::test]
+async fn unfinished_uploads_and_watches_are_few() {
+    let p = peer().await;
+    // Uploads that announce a file and then send nothing more.
+    let mut open = Vec::new();
+    let mut codes = Vec::new();
+    for _ in 0..40 {
+        let (sender, receiver) = tokio::sync::mpsc::channel(1);
+        sender.send(chunk(0, 9, vec![1; 3])).await.expect("is sent");
+        let mut jobs = p.jobs.clone();
+        let upload = tokio::spawn(async move { jobs.upload(ReceiverStream::new(receiver)).await.map(drop) });
+        open.push((sender, upload));
+    }
+    let refused = async {
+        while codes.len() < 8 {
+            for (_, upload) in open.extract_if(.., |(_, upload)| upload.is_finished()) {
+                codes.push(code(upload.await.expect("did not panic")));
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, refused).await.expect("are refused in time");
+    assert_eq!((open.len(), codes), (32, vec![Code::ResourceExhausted; 8]));
+    // Once they are gone there is room again.
+    drop(open);
+    let data = bytes::Bytes::from_static(b"whole");
+    let whole: Vec<Chunk> = chunks(data.clone(), Digest::of(&data)).collect();
+    let again = async {
+        while p.jobs.clone().upload(tokio_stream::iter(whole.clone())).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, again).await.expect("is taken in time");
+}
+
+#[tokio::test]
+async fn calls_are_limited_by_connection_and_headers_by_length() {
+    let p = peer().await;
+    let calls = (0..1_500).map(|_| {
+        let mut jobs = p.jobs.clone();
+        tokio::spawn(async move { jobs.missing(wire::MissingRequest { blobs: Vec::new() }).await })
+    });
+    let (calls, begin): (Vec<_>, _) = (calls.collect(), Instant::now());
+    let mut refused = 0;
+    for call in calls {
+        if let Err(status) = call.await.expect("did not panic") {
+            assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
+            refused += 1;
+        }
+    }
+    // One second's worth at once, and as many each second after that.
+    let allowed = 1_000.0 * (1.0 + begin.elapsed().as_secs_f64());
+    assert!(f64::from(1_500 - refused) <= allowed + 1.0, "{refused} of 1,500 were refused");
+    assert!(refused > 0 || allowed > 1_500.0);
+    let mut request = tonic::Request::new(wire::ListRequest {});
+    let value = "x".repeat(40_000).parse().expect("is a value");
+    request.metadata_mut().insert("padding", value);
+    assert!(p.jobs.clone().list(request).await.is_err());
+}
+
+#[tokio::test]
+async fn names_that_would_write_on_terminals_are_refused() {
+    let p = peer().await;
+    let hello = wire::Hello { name: "\x1b[2Jw".into(), threads: 1, memory_bytes: 1, relay: None };
+    let hello = WorkerMessage { kind: Some(wire::worker_message::Kind::Hello(hello)) };
+    assert_eq!(code(p.cluster.clone().join(tokio_stream::iter([hello])).await), Code::InvalidArgument);
 }

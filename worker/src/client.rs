@@ -9,6 +9,7 @@ use crate::config::WorkerConfig;
 use crate::error::WorkerError;
 use crate::executor::Executor;
 use gatherlight_proto::connect::{endpoint, pause};
+use gatherlight_proto::credentials::Credentials;
 use joined::{Ended, Life};
 use std::future::Future;
 use std::hash::{BuildHasher, Hasher};
@@ -29,27 +30,36 @@ pub struct Connector {
     pub address: String,
     /// Its host and port, where it is reached over the network.
     host: Option<String>,
+    credentials: Credentials,
     open: Arc<dyn Fn() -> Connecting + Send + Sync>,
 }
 
 impl Connector {
-    /// Over the network.
+    /// Over the network, without a token or certificate.
     ///
     /// # Errors
     /// When the URL makes no sense.
     pub fn url(url: &str) -> Result<Self, WorkerError> {
-        let endpoint = endpoint(url).map_err(|reason| WorkerError::Url { url: url.into(), reason })?;
+        Self::with(url, Credentials::default())
+    }
+    /// Over the network, proving itself by `credentials`.
+    ///
+    /// # Errors
+    /// When the URL or a certificate makes no sense.
+    pub fn with(url: &str, credentials: Credentials) -> Result<Self, WorkerError> {
+        let endpoint = endpoint(url, &credentials).map_err(|reason| WorkerError::Url { url: url.into(), reason })?;
         let uri = endpoint.uri();
         let host = uri.host().map(|host| format!("{host}:{}", uri.port_u16().unwrap_or(DEFAULT_HTTP_PORT)));
         let connector = Self::custom(url, move || {
             let endpoint = endpoint.clone();
             Box::pin(async move { endpoint.connect().await })
         });
-        Ok(Connector { host, ..connector })
+        Ok(Connector { host, credentials, ..connector })
     }
     /// By any other means.
     pub fn custom(address: impl Into<String>, open: impl Fn() -> Connecting + Send + Sync + 'static) -> Self {
-        Connector { address: address.into(), host: None, open: Arc::new(open) }
+        let credentials = Credentials::default();
+        Connector { address: address.into(), host: None, credentials, open: Arc::new(open) }
     }
 }
 

@@ -1,9 +1,11 @@
 //! How a worker runs. Nothing here can change an image.
 
+use crate::counters::Counters;
 use crate::relay::Listen;
 use crate::shared::Shared;
 use gatherlight_proto::message::{Lease, Task};
 use gatherlight_proto::version::Versions;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Failed attempts in a row to reach the coordinator before a worker gives up: with pauses of up to 10 s, a coordinator
@@ -27,6 +29,8 @@ pub struct WorkerConfig {
     pub relay: Listen,
     /// Versions it claims; tests claim others.
     pub versions: Versions,
+    /// What it counts of itself.
+    pub counters: Arc<Counters>,
     /// What is in this process already.
     pub shared: Shared,
     /// Misbehaviour, for tests.
@@ -43,6 +47,7 @@ impl WorkerConfig {
             max_attempts: DEFAULT_ATTEMPTS,
             relay: Listen::Auto,
             versions: Versions::own(),
+            counters: Arc::default(),
             shared: Shared::default(),
             faults: Faults::default(),
         }

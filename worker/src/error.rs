@@ -31,6 +31,17 @@ pub enum WorkerError {
         /// Its reason; names both versions where they differ.
         reason: String,
     },
+    /// A token or certificate cannot be read or makes no sense.
+    #[error("{0}")]
+    Credentials(String),
+    /// Metrics cannot be served.
+    #[error("cannot serve metrics on {address}: {source}")]
+    Metrics {
+        /// Where.
+        address: std::net::SocketAddr,
+        /// The system's reason.
+        source: std::io::Error,
+    },
     /// Compute threads could not be started.
     #[error("cannot start compute threads: {0}")]
     Threads(String),
@@ -83,6 +94,10 @@ pub enum TaskError {
 pub(crate) fn is_final(status: &Status) -> bool {
     matches!(
         status.code(),
-        Code::FailedPrecondition | Code::InvalidArgument | Code::Unauthenticated | Code::Unimplemented
+        Code::FailedPrecondition
+            | Code::InvalidArgument
+            | Code::Unauthenticated
+            | Code::PermissionDenied
+            | Code::Unimplemented
     )
 }

@@ -12,6 +12,7 @@
 pub mod cache;
 pub mod client;
 pub mod config;
+pub mod counters;
 pub mod emission;
 pub mod error;
 pub mod executor;

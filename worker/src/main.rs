@@ -1,17 +1,25 @@
 //! `gatherlight-worker`: arguments → run → exit code.
 
 use clap::Parser;
+use gatherlight_proto::credentials::{CredentialFiles, Credentials};
+use gatherlight_telemetry::{LogOptions, MakePage};
 use gatherlight_worker::config::{DEFAULT_ATTEMPTS, DEFAULT_MEMORY_BYTES};
+use gatherlight_worker::counters::Counters;
 use gatherlight_worker::relay::Listen;
 use gatherlight_worker::{Connector, WorkerConfig, WorkerError, run};
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+
+/// What is logged unless told.
+const DEFAULT_LOG: &str = "info";
 
 const EXAMPLES: &str = "\
 Examples:
   gatherlight-worker --coordinator http://localhost:7420
-  gatherlight-worker --coordinator http://render.lan:7420 --threads 8 --memory 16G
+  gatherlight-worker --coordinator http://render.lan:7420 --token-file gatherlight.token --threads 8 --memory 16G
 
 It connects out, so it may sit behind NAT. Ctrl-C or SIGTERM lets it finish the task it computes and return the others.
 Exit codes: 0 left as asked, 1 could not go on, 2 wrong usage.";
@@ -42,8 +50,24 @@ struct Arguments {
     /// Listen for no other workers, and fetch from the coordinator alone
     #[arg(long, conflicts_with = "relay_listen")]
     no_relay: bool,
-    /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight_worker=debug
-    #[arg(long, value_name = "FILTER", env = "GATHERLIGHT_LOG", default_value = "info")]
+    /// File with the token that proves who joins; never the token itself, which listings of processes would show
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TOKEN_FILE")]
+    token_file: Option<PathBuf>,
+    /// Certificates (PEM) of the authorities to trust, for an https:// URL
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TLS_CA")]
+    tls_ca: Option<PathBuf>,
+    /// Own certificate (PEM), where the coordinator asks for one
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TLS_CERT")]
+    tls_cert: Option<PathBuf>,
+    /// Its key (PEM)
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TLS_KEY")]
+    tls_key: Option<PathBuf>,
+    /// Serve metrics for Prometheus at http://ADDR/metrics
+    #[arg(long, value_name = "ADDR", env = "GATHERLIGHT_METRICS")]
+    metrics: Option<SocketAddr>,
+    /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight_worker=debug.
+    /// `json` makes each message a JSON object on a line of its own, as in --log json or --log json,debug
+    #[arg(long, value_name = "[json,]FILTER", env = "GATHERLIGHT_LOG", default_value = DEFAULT_LOG)]
     log: String,
 }
 
@@ -70,16 +94,14 @@ fn default_name() -> String {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = match EnvFilter::try_new(&arguments.log) {
-        Ok(filter) => filter,
-        Err(error) => {
-            eprintln!("error: --log {:?}: {error}", arguments.log);
-            return ExitCode::from(2);
-        }
+    if let Err(error) = LogOptions::parse(&arguments.log, DEFAULT_LOG).init() {
+        eprintln!("error: {error}");
+        return ExitCode::from(2);
+    }
+    let code = |error: &WorkerError| match error {
+        WorkerError::Url { .. } | WorkerError::Credentials(_) => 2,
+        _ => 1,
     };
-    let ansi = std::io::IsTerminal::is_terminal(&std::io::stderr());
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(ansi).with_writer(std::io::stderr).init();
-    let code = |error: &WorkerError| if matches!(error, WorkerError::Url { .. }) { 2 } else { 1 };
     match start(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -90,7 +112,17 @@ fn main() -> ExitCode {
 }
 
 fn start(arguments: Arguments) -> Result<(), WorkerError> {
-    let connector = Connector::url(&arguments.coordinator)?;
+    let files = CredentialFiles {
+        token: arguments.token_file,
+        authority: arguments.tls_ca,
+        certificate: arguments.tls_cert,
+        key: arguments.tls_key,
+    };
+    let credentials = Credentials::read(&files).map_err(WorkerError::Credentials)?;
+    if let Some(warning) = credentials.warning(&arguments.coordinator) {
+        tracing::warn!("{warning}");
+    }
+    let connector = Connector::with(&arguments.coordinator, credentials)?;
     let config = WorkerConfig {
         threads: arguments.threads,
         memory_bytes: arguments.memory,
@@ -108,9 +140,27 @@ fn start(arguments: Arguments) -> Result<(), WorkerError> {
         .enable_all()
         .build()
         .map_err(|e| WorkerError::Threads(e.to_string()))?;
-    let ended = runtime.block_on(run(config, connector, stop_asked()));
+    let ended = runtime.block_on(async {
+        if let Some(address) = arguments.metrics {
+            serve_metrics(address, config.counters.clone()).await?;
+        }
+        run(config, connector, stop_asked()).await
+    });
     runtime.shutdown_background();
     ended
+}
+
+/// Serves metrics as long as the process lives.
+async fn serve_metrics(address: SocketAddr, counters: Arc<Counters>) -> Result<(), WorkerError> {
+    let failed = |source| WorkerError::Metrics { address, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    tracing::info!(address = %listener.local_addr().map_err(failed)?, "metrics");
+    let make: MakePage = Arc::new(move || {
+        let page = counters.page();
+        Box::pin(async move { page })
+    });
+    tokio::spawn(gatherlight_telemetry::serve(listener, make));
+    Ok(())
 }
 
 /// Ready at Ctrl-C or, on Unix, SIGTERM.

@@ -5,7 +5,7 @@
 //! ```
 //! One lease is computed at a time (its indices run in parallel); results travel while the next one is computed.
 
-use gatherlight_proto::message::{FromWorker, Lease, LeaseId, Route, SceneManifest, ToWorker};
+use gatherlight_proto::message::{FromWorker, Lease, LeaseId, Route, SceneManifest, SessionKey, ToWorker};
 use gatherlight_proto::types::JobId;
 use gatherlight_render::settings::RenderSettings;
 use std::collections::{BTreeMap, VecDeque};
@@ -61,7 +61,7 @@ pub enum Action {
     /// Begin heartbeats; `session` names this session in other calls.
     Welcomed {
         /// The session's secret name.
-        session: u64,
+        session: SessionKey,
         /// Time between heartbeats.
         heartbeat: Duration,
     },
@@ -236,9 +236,9 @@ mod tests {
     }
     fn ready() -> Session {
         let mut session = Session::default();
-        let heartbeat = Duration::from_secs(1);
-        let welcome = ToWorker::Welcome { worker: WorkerId(1), session: 9, heartbeat };
-        assert_eq!(session.handle(Input::Message(welcome)), [Action::Welcomed { session: 9, heartbeat }]);
+        let (session_key, heartbeat) = (SessionKey([9; 16]), Duration::from_secs(1));
+        let welcome = ToWorker::Welcome { worker: WorkerId(1), session: session_key, heartbeat };
+        assert_eq!(session.handle(Input::Message(welcome)), [Action::Welcomed { session: session_key, heartbeat }]);
         let Announced { scene, settings } = announced();
         let prepare = ToWorker::Prepare { job: JobId(5), scene, settings: Box::new(settings) };
         assert_eq!(session.handle(Input::Message(prepare)), []);

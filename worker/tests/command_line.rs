@@ -27,6 +27,9 @@ fn wrong_usage_is_exit_code_2_with_a_way_out() {
         (&["--memory", "lots"], "K, M, G or T"),
         (&["--log", "what=is=this"], "--log"),
         (&["--no-such-flag"], "--help"),
+        (&["--token-file", "absent"], "cannot read absent"),
+        (&["--tls-cert", "x", "--tls-key", "x"], "--tls-ca"),
+        (&["--coordinator", "https://localhost:1"], "--tls-ca"),
     ] {
         let output = worker(arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
@@ -37,7 +40,18 @@ fn wrong_usage_is_exit_code_2_with_a_way_out() {
 #[test]
 fn help_names_the_flags() {
     let help = String::from_utf8_lossy(&worker(&["--help"]).stdout).into_owned();
-    for flag in ["--coordinator", "--threads", "--memory", "--name", "--attempts", "--log", "Examples:"] {
+    for flag in [
+        "--coordinator",
+        "--threads",
+        "--memory",
+        "--name",
+        "--attempts",
+        "--token-file",
+        "--tls-ca",
+        "--metrics",
+        "--log",
+        "Examples:",
+    ] {
         assert!(help.contains(flag), "{flag} is missing from\n{help}");
     }
 }

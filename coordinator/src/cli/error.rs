@@ -73,7 +73,10 @@ impl From<ClientError> for CliError {
 
 impl From<ServeError> for CliError {
     fn from(e: ServeError) -> Self {
-        CliError::Failed(e.to_string())
+        match e {
+            ServeError::Access(text) => CliError::Usage(text),
+            other => CliError::Failed(other.to_string()),
+        }
     }
 }
 

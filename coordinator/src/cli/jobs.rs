@@ -31,8 +31,14 @@ pub(super) fn run(args: &JobsArgs) -> CliResult {
     } else if jobs.is_empty() {
         print_result("no jobs");
     } else {
-        let header = ["ID", "NAME", "STATE", "DONE", "WORKERS", "TIME"];
-        print_result(&table(&header, &jobs.iter().map(row).collect::<Vec<_>>()));
+        let mut header = vec!["ID", "NAME", "STATE", "DONE", "WORKERS", "TIME"];
+        let mut rows: Vec<Vec<String>> = jobs.iter().map(row).collect();
+        // Without tokens jobs have no owners.
+        if jobs.iter().any(|j| !j.owner.is_empty()) {
+            header.push("OWNER");
+            rows.iter_mut().zip(&jobs).for_each(|(row, job)| row.push(job.owner.clone()));
+        }
+        print_result(&table(&header, &rows));
     }
     Ok(())
 }

@@ -14,6 +14,7 @@ pub(super) fn job(p: &JobProgress) -> Value {
     json!({
         "id": p.id.to_string(),
         "name": p.name,
+        "owner": Some(&p.owner).filter(|o| !o.is_empty()),
         "state": p.state.name(),
         "map": map,
         "error": error,

@@ -11,6 +11,7 @@ mod converge;
 mod error;
 mod fetch;
 pub(crate) mod format;
+mod health;
 mod jobs;
 mod json;
 mod limits;
@@ -25,13 +26,14 @@ mod serve;
 mod settings;
 mod stability;
 mod submit;
+mod token;
 mod watch;
 mod workers;
 
 use clap::{Parser, Subcommand};
-use std::io::{IsTerminal, Write};
+use gatherlight_telemetry::LogOptions;
+use std::io::Write;
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -40,7 +42,7 @@ Examples:
   gatherlight plan scene.glb                             what would be computed, and why
   gatherlight compare image.exr reference.exr            how far the image is from another
   gatherlight converge scene.glb --time 30s              error over time of all methods
-  gatherlight serve --listen 0.0.0.0:7420                a coordinator for a cluster
+  gatherlight serve                                      a coordinator for a cluster
   gatherlight submit scene.glb -o image.exr --coordinator http://host:7420
 
 Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
@@ -51,11 +53,12 @@ Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight=debug [default: warn; serve: info]
+    /// What to log to stderr: error, warn, info, debug, or a filter like gatherlight=debug [default: warn; serve: info].
+    /// `json` makes each message a JSON object on a line of its own, as in --log json or --log json,debug
     #[arg(
         long,
         global = true,
-        value_name = "FILTER",
+        value_name = "[json,]FILTER",
         env = "GATHERLIGHT_LOG",
         hide_env_values = true,
         help_heading = "Messages"
@@ -76,6 +79,8 @@ enum Command {
     Fetch(fetch::FetchArgs),
     Cancel(cancel::CancelArgs),
     Workers(workers::WorkersArgs),
+    Health(health::HealthArgs),
+    Token(token::TokenArgs),
     Stability(stability::StabilityArgs),
     Completions(completions::CompletionsArgs),
 }
@@ -84,16 +89,10 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
-    let filter = cli.log.as_deref().unwrap_or(level);
-    let filter = match EnvFilter::try_new(filter) {
-        Ok(filter) => filter,
-        Err(error) => {
-            eprintln!("error: --log {filter:?}: {error}");
-            return ExitCode::from(2);
-        }
-    };
-    let ansi = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(ansi).with_writer(std::io::stderr).init();
+    if let Err(error) = LogOptions::parse(cli.log.as_deref().unwrap_or_default(), level).init() {
+        eprintln!("error: {error}");
+        return ExitCode::from(2);
+    }
     let result = match cli.command {
         Command::Render(args) => render::run(&args),
         Command::Plan(args) => plan::run(&args),
@@ -106,6 +105,8 @@ pub fn main() -> ExitCode {
         Command::Fetch(args) => fetch::run(&args),
         Command::Cancel(args) => cancel::run(&args),
         Command::Workers(args) => workers::run(&args),
+        Command::Health(args) => health::run(&args),
+        Command::Token(args) => token::run(&args),
         Command::Stability(args) => stability::run(&args),
         Command::Completions(args) => completions::run(&args),
     };

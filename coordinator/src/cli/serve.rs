@@ -4,6 +4,7 @@ use super::connection::runtime;
 use super::error::CliResult;
 use super::format::parse_bytes;
 use super::{print_json, print_result};
+use crate::access::AccessConfig;
 use crate::server::{ServeConfig, Server};
 use clap::Args;
 use serde_json::json;
@@ -12,11 +13,13 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
 Workers join with `gatherlight-worker --coordinator URL`, clients speak to it with submit, jobs, watch, fetch, cancel \
-and workers. There is no authentication: listen only where every machine that can connect may submit work.
+and workers. On an address that other machines reach, they prove themselves by a token or a certificate; \
+docs/security.md says how.
 
 Examples:
   gatherlight serve
-  gatherlight serve --listen 0.0.0.0:7420 --store /var/lib/gatherlight";
+  gatherlight token > gatherlight.token
+  gatherlight serve --listen 0.0.0.0:7420 --token-file gatherlight.token --store /var/lib/gatherlight";
 
 /// Run a coordinator that workers join and clients submit jobs to
 #[derive(Args, Debug)]
@@ -55,6 +58,30 @@ pub(super) struct ServeArgs {
     /// Most memory for results that are not merged yet, e.g. 1G; workers wait for room
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, default_value = "1G")]
     max_result_memory: u64,
+    /// File of tokens, each line TOKEN or NAME ROLES TOKEN, with the roles worker, client, admin
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TOKEN_FILE", hide_env_values = true, help_heading = "Access")]
+    token_file: Option<PathBuf>,
+    /// The coordinator's certificate (PEM): connections are encrypted
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TLS_CERT", hide_env_values = true, help_heading = "Access")]
+    tls_cert: Option<PathBuf>,
+    /// Its key (PEM)
+    #[arg(long, value_name = "FILE", env = "GATHERLIGHT_TLS_KEY", hide_env_values = true, help_heading = "Access")]
+    tls_key: Option<PathBuf>,
+    /// Authority (PEM) that has to vouch for every worker's and client's certificate
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "GATHERLIGHT_TLS_CLIENT_CA",
+        hide_env_values = true,
+        help_heading = "Access"
+    )]
+    tls_client_ca: Option<PathBuf>,
+    /// Listen on the network though nobody has to prove anything: whoever can connect may submit work
+    #[arg(long, help_heading = "Access")]
+    insecure: bool,
+    /// Serve metrics for Prometheus at http://ADDR/metrics
+    #[arg(long, value_name = "ADDR", env = "GATHERLIGHT_METRICS", hide_env_values = true)]
+    metrics: Option<SocketAddr>,
     /// Print the address as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -67,13 +94,26 @@ pub(super) fn run(args: &ServeArgs) -> CliResult {
         max_live_jobs: args.max_jobs,
         max_job_bytes: args.max_job_memory,
         max_result_bytes: args.max_result_memory,
+        access: AccessConfig {
+            token_file: args.token_file.clone(),
+            tls_certificate: args.tls_cert.clone(),
+            tls_key: args.tls_key.clone(),
+            tls_client_ca: args.tls_client_ca.clone(),
+            insecure: args.insecure,
+        },
+        metrics: args.metrics,
         ..ServeConfig::new(args.listen, args.store.clone())
     };
     runtime()?.block_on(async {
         let server = Server::bind(config).await?;
-        let url = format!("http://{}", server.local_addr());
+        let scheme = if server.is_encrypted() { "https" } else { "http" };
+        let url = format!("{scheme}://{}", server.local_addr());
+        let metrics = server.metrics_addr().map(|address| format!("http://{address}/metrics"));
+        if let Some(metrics) = &metrics {
+            tracing::info!(url = metrics, "metrics");
+        }
         if args.json {
-            print_json(&json!({ "listening": url }));
+            print_json(&json!({ "listening": url, "metrics": metrics }));
         } else {
             print_result(&format!("listening on {url}"));
         }

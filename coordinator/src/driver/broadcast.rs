@@ -2,24 +2,22 @@
 
 use super::Driver;
 use super::handle::Source;
-use crate::random::random_u64;
+use crate::random::random_bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{BlobRef, PassTicket, Route, ToWorker};
+use gatherlight_proto::message::{BlobRef, PassTicket, Route, SessionKey, ToWorker};
 
 impl Driver {
     /// Tells the workers that relay, and have the memory for it, to get `blob` and pass it on.
     pub(super) fn announce(&mut self, blob: BlobRef) {
-        let mut ticket = [0; 16];
-        ticket[..8].copy_from_slice(&random_u64().to_le_bytes());
-        ticket[8..].copy_from_slice(&random_u64().to_le_bytes());
+        let ticket = PassTicket(random_bytes());
         let members = self.sessions.relays(blob.bytes);
-        for (worker, route) in self.broadcasts.announce(blob, PassTicket(ticket), members) {
+        for (worker, route) in self.broadcasts.announce(blob, ticket, members) {
             self.send(worker, ToWorker::Route(route));
         }
     }
 
     /// From whom the worker of this session gets this digest; a scene blob is announced when the first one asks.
-    pub(super) fn locate(&mut self, session: u64, digest: Digest) -> Option<Route> {
+    pub(super) fn locate(&mut self, session: SessionKey, digest: Digest) -> Option<Route> {
         let worker = self.sessions.worker(session)?;
         let source = self.source(digest)?;
         if !self.broadcasts.is_announced(digest) {

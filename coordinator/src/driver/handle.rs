@@ -10,7 +10,7 @@ use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{
-    BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, PassTicket, Route, ToWorker, WorkerId,
+    BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, PassTicket, Route, SessionKey, ToWorker, WorkerId,
 };
 use gatherlight_proto::pieces::Pieces;
 use gatherlight_render::export::ImageMetadata;
@@ -33,7 +33,7 @@ pub(crate) type Reply<T> = oneshot::Sender<T>;
 #[derive(Debug)]
 pub(crate) enum Input {
     Submit(Box<Spec>, Reply<Result<JobId, SubmitError>>),
-    Find([u8; 16], Reply<Option<JobId>>),
+    Find(String, [u8; 16], Reply<Option<JobId>>),
     List(Reply<Vec<JobProgress>>),
     Watch(JobId, Reply<Option<watch::Receiver<JobProgress>>>),
     Cancel(JobId, Reply<Option<JobProgress>>),
@@ -48,7 +48,7 @@ pub(crate) enum Input {
     Repeated(WorkerId, DeliverHeader, Digest),
     Refuse(Ticket, String),
     Complete(Box<Delivery>, Reply<bool>),
-    Locate(u64, Digest, Reply<Option<Route>>),
+    Locate(SessionKey, Digest, Reply<Option<Route>>),
     Pass(Digest, PassTicket, Reply<Option<Source>>),
     /// What was made of a phase.
     Built(JobId, Phase, Result<Built, String>),
@@ -257,9 +257,9 @@ impl Handle {
     pub async fn submit(&self, spec: Spec) -> Result<JobId, SubmitError> {
         self.ask(|reply| Input::Submit(Box::new(spec), reply)).await.unwrap_or(Err(SubmitError::Closed))
     }
-    /// The job that was submitted with this key.
-    pub async fn find(&self, request_key: [u8; 16]) -> Option<JobId> {
-        self.ask(|reply| Input::Find(request_key, reply)).await.flatten()
+    /// The job that this owner submitted with this key.
+    pub async fn find(&self, owner: &str, request_key: [u8; 16]) -> Option<JobId> {
+        self.ask(|reply| Input::Find(owner.to_owned(), request_key, reply)).await.flatten()
     }
     /// All jobs, oldest first.
     pub async fn list(&self) -> Vec<JobProgress> {
@@ -287,6 +287,10 @@ impl Handle {
     /// The workers.
     pub async fn workers(&self) -> Vec<WorkerInfo> {
         self.ask(Input::Workers).await.unwrap_or_default()
+    }
+    /// Inputs that wait for the driver.
+    pub(crate) fn queued(&self) -> usize {
+        self.inputs.max_capacity() - self.inputs.capacity()
     }
     /// Takes in a worker.
     pub async fn join(&self, hello: Hello) -> Option<Joined> {
@@ -321,7 +325,7 @@ impl Handle {
         self.ask(|reply| Input::Complete(Box::new(delivery), reply)).await.unwrap_or(false)
     }
     /// From whom the worker of this session gets this digest.
-    pub async fn locate(&self, session: u64, digest: Digest) -> Option<Route> {
+    pub async fn locate(&self, session: SessionKey, digest: Digest) -> Option<Route> {
         self.ask(|reply| Input::Locate(session, digest, reply)).await.flatten()
     }
     /// The bytes that a ticket lets its holder have.

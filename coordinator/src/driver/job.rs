@@ -21,6 +21,8 @@ use tokio::sync::watch;
 pub struct Spec {
     /// Name for listings.
     pub name: String,
+    /// Name of the token that submits it; empty where there are none.
+    pub owner: String,
     /// Makes a repeated submission the same job.
     pub request_key: [u8; 16],
     /// Its scene's files.
@@ -31,8 +33,6 @@ pub struct Spec {
     pub limits: Limits,
     /// Jobs of higher priority get workers first.
     pub priority: i32,
-    /// Who submits it; empty: anybody.
-    pub owner: String,
     /// Its scene.
     pub prepared: Arc<PreparedJob>,
 }
@@ -162,6 +162,10 @@ impl JobRecord {
     }
     pub(super) fn progress(&self) -> JobProgress {
         self.progress.borrow().clone()
+    }
+    /// Whether it is what `owner` submitted with this key.
+    pub(super) fn is(&self, owner: &str, request_key: &[u8; 16]) -> bool {
+        self.stored.owner == owner && self.stored.request_key == *request_key
     }
     pub(super) fn is_final(&self) -> bool {
         self.state.is_final()
@@ -296,6 +300,7 @@ fn snapshot(id: JobId, stored: &StoredJob, stats: &JobStats) -> JobProgress {
     JobProgress {
         id,
         name: stored.name.clone(),
+        owner: stored.owner.clone(),
         state: JobState::Waiting,
         done: 0,
         total: 0,

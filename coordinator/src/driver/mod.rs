@@ -19,6 +19,7 @@ pub(crate) use handle::{Built, Image, Made};
 
 use crate::broadcast::Broadcasts;
 use crate::compute::Compute;
+use crate::counters::Counters;
 use crate::random::random_u64;
 use crate::room::Room;
 use crate::schedule::job::closes_rounds;
@@ -75,6 +76,8 @@ pub struct DriverConfig {
     pub max_job_bytes: u64,
     /// What to do with finished films.
     pub keep: KeepImage,
+    /// What is counted of it.
+    pub counters: Arc<Counters>,
     /// Heartbeats asked of workers.
     pub heartbeat: Duration,
     /// Where maps and bootstraps go when every worker is in this process; otherwise they are encoded for the broadcast.
@@ -159,8 +162,8 @@ impl Driver {
     fn take(&mut self, input: Input) {
         match input {
             Input::Submit(spec, reply) => self.submit(*spec, reply),
-            Input::Find(key, reply) => {
-                let found = self.jobs.values().find(|j| j.stored.request_key == key).map(|j| j.id);
+            Input::Find(owner, key, reply) => {
+                let found = self.jobs.values().find(|j| j.is(&owner, &key)).map(|j| j.id);
                 let _ = reply.send(found);
             }
             Input::List(reply) => {
@@ -211,7 +214,7 @@ impl Driver {
 
     /// Starts a job; `reply` hears of it once it would survive this process.
     fn submit(&mut self, spec: Spec, reply: Reply<Result<JobId, SubmitError>>) {
-        if let Some(job) = self.jobs.values().find(|j| j.stored.request_key == spec.request_key) {
+        if let Some(job) = self.jobs.values().find(|j| j.is(&spec.owner, &spec.request_key)) {
             return drop(reply.send(Ok(job.id)));
         }
         let phases = spec.prepared.phases();
@@ -310,6 +313,7 @@ impl Driver {
         let event = match message {
             FromWorker::Hello(_) | FromWorker::Heartbeat => Event::Heard { worker },
             FromWorker::TaskFailed { lease, attempt, error } => {
+                self.config.counters.leases_failed.add(1);
                 tracing::warn!(worker = worker.0, lease = lease.0, attempt, error, "task failed");
                 Event::TaskFailed { worker, lease, attempt, error }
             }
@@ -356,6 +360,7 @@ impl Driver {
 
     fn refuse(&mut self, ticket: &Ticket, error: String) {
         let &Ticket { worker, lease, attempt, .. } = ticket;
+        self.config.counters.leases_failed.add(1);
         tracing::warn!(worker = worker.0, lease = lease.0, error, "result refused");
         self.event(Event::TaskFailed { worker, lease, attempt, error: format!("result refused: {error}") });
     }
@@ -380,6 +385,7 @@ impl Driver {
                 let _ = reply.send(true);
             }
             Some((job, Ok(()))) => {
+                self.config.counters.leases_done.add(1);
                 self.add_light(job);
                 self.refresh(job);
                 self.note_result(job, result, room, reply);
@@ -420,7 +426,10 @@ impl Driver {
                         self.send(worker, ToWorker::Prepare { job, scene, settings });
                     }
                 }
-                Command::Assign { worker, lease } => self.send(worker, ToWorker::Lease(lease)),
+                Command::Assign { worker, lease } => {
+                    self.config.counters.leases_retried.add(u64::from(lease.attempt > 1));
+                    self.send(worker, ToWorker::Lease(lease));
+                }
                 Command::Revoke { worker, lease } => self.send(worker, ToWorker::Revoke(lease)),
                 Command::Forget { worker, job } => self.send(worker, ToWorker::Forget(job)),
                 Command::Accept { .. } | Command::Discard { .. } => {}

@@ -1,10 +1,10 @@
 //! Open sessions of workers: who they are and how to reach them. What they do is the scheduler's.
 
 use super::handle::Joined;
-use crate::random::random_u64;
+use crate::random::random_bytes;
 use crate::schedule::Scheduler;
 use crate::types::WorkerInfo;
-use gatherlight_proto::message::{Hello, ToWorker, WorkerId};
+use gatherlight_proto::message::{Hello, SessionKey, ToWorker, WorkerId};
 use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use tokio::sync::{mpsc, oneshot};
 const QUEUE: usize = 1_024;
 
 struct Session {
-    secret: u64,
+    secret: SessionKey,
     hello: Hello,
     messages: mpsc::Sender<ToWorker>,
     /// Dropped with the session, which tells the service to end the stream.
@@ -26,7 +26,7 @@ struct Session {
 pub(super) struct Sessions {
     heartbeat: Duration,
     by_worker: BTreeMap<WorkerId, Session>,
-    by_secret: HashMap<u64, WorkerId>,
+    by_secret: HashMap<SessionKey, WorkerId>,
     last: u64,
 }
 
@@ -38,7 +38,7 @@ impl Sessions {
     pub(super) fn open(&mut self, hello: Hello) -> Joined {
         self.last += 1;
         let worker = WorkerId(self.last);
-        let secret = random_u64();
+        let secret = SessionKey(random_bytes());
         let (messages, receiver) = mpsc::channel(QUEUE);
         let (alive, dismissed) = oneshot::channel();
         tracing::info!(worker = worker.0, name = hello.name, threads = hello.threads, "joined");
@@ -57,7 +57,7 @@ impl Sessions {
         self.by_worker.get(&worker).is_none_or(|s| s.messages.try_send(message).is_ok())
     }
     /// The worker whose session has this secret name.
-    pub(super) fn worker(&self, secret: u64) -> Option<WorkerId> {
+    pub(super) fn worker(&self, secret: SessionKey) -> Option<WorkerId> {
         self.by_secret.get(&secret).copied()
     }
     /// The name a worker gave itself.

@@ -132,6 +132,7 @@ mod tests {
         let noise = noise.map(|relative| Noise { standard_error: relative, relative });
         let stats = JobStats { noise, busy: Duration::from_secs(2 * seconds), ..JobStats::default() };
         JobProgress {
+            owner: String::new(),
             id: JobId(1),
             name: String::new(),
             state,

@@ -1,12 +1,16 @@
 //! What workers call.
 
+use super::connection::Peer;
+use super::quota::{Quota, Slot};
+use super::rate::Rate;
 use super::{Context, ReplyStream};
+use crate::counters::Counters;
 use crate::driver::{Delivery, Handle, Offered, Ticket};
 use crate::result;
 use crate::room::{self, Room};
 use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, WorkerId};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, SessionKey, WorkerId};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{
@@ -15,8 +19,10 @@ use gatherlight_proto::wire::{
 };
 use gatherlight_proto::{Digest, WireError};
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
+use tokio::time::Instant;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Request, Response, Status, Streaming};
@@ -24,15 +30,21 @@ use tonic::{Code, Request, Response, Status, Streaming};
 /// Time a worker has to introduce itself, and a delivery to send its next chunk.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// Workers' sessions at once.
+const MAX_SESSIONS: usize = 4_096;
+/// Messages a worker may send a second: a heartbeat, and some for each of its leases.
+const MESSAGES_PER_SECOND: u32 = 100;
+
 /// Shared by the calls.
 #[derive(Clone)]
 pub(super) struct ClusterService {
     context: Context,
+    sessions: Arc<Quota<()>>,
 }
 
 impl ClusterService {
     pub(super) fn new(context: Context) -> Self {
-        ClusterService { context }
+        ClusterService { context, sessions: Arc::new(Quota::new("sessions", MAX_SESSIONS)) }
     }
 }
 
@@ -42,7 +54,8 @@ impl Cluster for ClusterService {
     type DeliverStream = ReplyStream<DeliverReply>;
 
     async fn join(&self, request: Request<Streaming<WorkerMessage>>) -> Result<Response<Self::JoinStream>, Status> {
-        let from = request.remote_addr();
+        let slot = self.sessions.take(())?;
+        let from = Peer::of(request.extensions()).map(Peer::address);
         let mut inbound = request.into_inner();
         let first = next(&mut inbound).await?.ok_or(WireError::Missing("hello"))?;
         let FromWorker::Hello(mut hello) = FromWorker::try_from(first)? else {
@@ -51,7 +64,8 @@ impl Cluster for ClusterService {
         drop_unreachable_relay(&mut hello, from);
         let driver = self.context.driver.clone();
         let joined = driver.join(hello).await.ok_or_else(|| Status::unavailable("shutting down"))?;
-        tokio::spawn(listen(driver, joined.worker, inbound, joined.dismissed));
+        let counters = self.context.counters.clone();
+        tokio::spawn(listen(driver, counters, joined.worker, inbound, joined.dismissed, slot));
         let outbound = ReceiverStream::new(joined.messages).map(|m| Ok(m.into()));
         Ok(Response::new(Box::pin(outbound)))
     }
@@ -59,7 +73,7 @@ impl Cluster for ClusterService {
     async fn locate(&self, request: Request<LocateRequest>) -> Result<Response<Route>, Status> {
         let LocateRequest { session, digest } = request.into_inner();
         let digest = Digest::try_from(&digest[..])?;
-        let route = self.context.driver.locate(session, digest).await;
+        let route = self.context.driver.locate(SessionKey::try_from(&session[..])?, digest).await;
         let unknown = || Status::not_found(format!("{digest} belongs to no running job of this session"));
         Ok(Response::new(route.ok_or_else(unknown)?.into()))
     }
@@ -171,13 +185,16 @@ async fn next<T>(inbound: &mut Streaming<T>) -> Result<Option<T>, Status> {
     waited.unwrap_or_else(|_| Err(Status::deadline_exceeded("the next message did not come in time")))
 }
 
-/// Passes on what a worker says until its session ends, from either side.
+/// Passes on what a worker says until its session ends, from either side, or it says too much.
 async fn listen(
     driver: Handle,
+    counters: Arc<Counters>,
     worker: WorkerId,
     mut inbound: Streaming<WorkerMessage>,
     mut dismissed: oneshot::Receiver<()>,
+    _slot: Slot<()>,
 ) {
+    let (began, mut rate) = (Instant::now(), Rate::new(MESSAGES_PER_SECOND));
     loop {
         let message = tokio::select! {
             message = inbound.message() => message,
@@ -187,10 +204,16 @@ async fn listen(
             Ok(Some(message)) => FromWorker::try_from(message),
             Ok(None) | Err(_) => break,
         };
+        if !rate.admit(began.elapsed()) {
+            tracing::warn!(worker = worker.0, "more than {MESSAGES_PER_SECOND} messages a second: dismissed");
+            counters.refused("too_many_messages");
+            break;
+        }
         match message {
             Ok(message) => driver.message(worker, message).await,
             Err(error) => {
                 tracing::warn!(worker = worker.0, %error, "senseless message");
+                counters.refused("senseless_message");
                 break;
             }
         }

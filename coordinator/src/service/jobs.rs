@@ -1,6 +1,8 @@
 //! What clients call.
 
+use super::quota::{Quota, holding};
 use super::{Context, ReplyStream, stored_chunks};
+use crate::access::Identity;
 use crate::driver::{NoImage, SubmitError};
 use crate::intake::{self, IntakeError, Submission};
 use crate::store::StoreError;
@@ -12,6 +14,7 @@ use gatherlight_proto::message::{BlobRef, SceneManifest};
 use gatherlight_proto::wire::jobs_server::Jobs;
 use gatherlight_proto::wire::{self, Chunk};
 use gatherlight_render::settings::RenderSettings;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -23,21 +26,50 @@ const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 const MAX_INTAKES: usize = 2;
 /// Longest error and name in a listing, in bytes.
 const MAX_LISTED_ERROR_BYTES: usize = 512;
+/// Longest name of a worker in a listing, in bytes: as many of them as may join have to fit into one message.
+const MAX_LISTED_WORKER_BYTES: usize = 128;
 /// Time an upload has to send its next chunk.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Uploads of one owner at once.
+const MAX_UPLOADS: usize = 32;
+/// Submissions of one owner that wait or load at once.
+const MAX_SUBMISSIONS: usize = 32;
+/// Watches of one owner at once.
+const MAX_WATCHES: usize = 512;
+/// Images that one owner fetches at once.
+const MAX_FETCHES: usize = 32;
 
 pub(super) struct JobsService {
     context: Context,
     intakes: Semaphore,
+    uploads: Quota<Arc<str>>,
+    submissions: Quota<Arc<str>>,
+    watches: Quota<Arc<str>>,
+    fetches: Quota<Arc<str>>,
 }
 
 impl JobsService {
     pub(super) fn new(context: Context) -> Self {
-        JobsService { context, intakes: Semaphore::new(MAX_INTAKES) }
+        JobsService {
+            context,
+            intakes: Semaphore::new(MAX_INTAKES),
+            uploads: Quota::new("uploads", MAX_UPLOADS),
+            submissions: Quota::new("submissions", MAX_SUBMISSIONS),
+            watches: Quota::new("watches", MAX_WATCHES),
+            fetches: Quota::new("fetches", MAX_FETCHES),
+        }
     }
-    async fn watched(&self, job: u64) -> Result<watch::Receiver<JobProgress>, Status> {
-        self.context.driver.watch(JobId(job)).await.ok_or_else(|| no_job(job))
+    /// A job of the caller's. Another's is as unknown as none.
+    async fn watched(&self, caller: &Identity, job: u64) -> Result<watch::Receiver<JobProgress>, Status> {
+        let watched = self.context.driver.watch(JobId(job)).await;
+        watched.filter(|w| caller.sees(&w.borrow().owner)).ok_or_else(|| no_job(job))
     }
+}
+
+/// Who makes a call; the gate has put it there.
+fn caller<T>(request: &Request<T>) -> Result<Identity, Status> {
+    let identity = request.extensions().get::<Identity>().cloned();
+    identity.ok_or_else(|| Status::internal("a call came past the gate"))
 }
 
 fn no_job(job: u64) -> Status {
@@ -92,6 +124,7 @@ impl Jobs for JobsService {
     }
 
     async fn upload(&self, request: Request<Streaming<Chunk>>) -> Result<Response<wire::UploadReply>, Status> {
+        let _slot = self.uploads.take(caller(&request)?.name)?;
         let mut inbound = request.into_inner();
         let mut upload = self.context.store.upload();
         let next = async |inbound: &mut Streaming<Chunk>| {
@@ -108,9 +141,13 @@ impl Jobs for JobsService {
     }
 
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Result<Response<wire::SubmitReply>, Status> {
+        let owner = caller(&request)?.name;
+        let _slot = self.submissions.take(owner.clone())?;
         let request = request.into_inner();
         let submission = Submission {
-            name: truncated(&request.name, MAX_NAME_BYTES).to_owned(),
+            // It will be shown on terminals.
+            name: truncated(&request.name, MAX_NAME_BYTES).replace(char::is_control, " "),
+            owner: owner.to_string(),
             request_key: request.request_key[..]
                 .try_into()
                 .map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?,
@@ -118,7 +155,6 @@ impl Jobs for JobsService {
             settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
             limits: request.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
             priority: request.priority.clamp(-MAX_PRIORITY, MAX_PRIORITY),
-            owner: String::new(),
         };
         let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
         let Context { driver, compute, store, .. } = &self.context;
@@ -126,9 +162,10 @@ impl Jobs for JobsService {
         Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }
 
-    async fn list(&self, _: Request<wire::ListRequest>) -> Result<Response<wire::ListReply>, Status> {
+    async fn list(&self, request: Request<wire::ListRequest>) -> Result<Response<wire::ListReply>, Status> {
+        let caller = caller(&request)?;
         let jobs = self.context.driver.list().await;
-        let listed = jobs.iter().map(|j| {
+        let listed = jobs.iter().filter(|j| caller.sees(&j.owner)).map(|j| {
             let mut job = wire::Job::from(j);
             // All of them have to fit into one message; the whole error is in `Get`.
             job.error = truncated(&job.error, MAX_LISTED_ERROR_BYTES).to_owned();
@@ -139,23 +176,28 @@ impl Jobs for JobsService {
     }
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<wire::Job>, Status> {
-        let watched = self.watched(request.into_inner().job).await?;
+        let watched = self.watched(&caller(&request)?, request.into_inner().job).await?;
         let job = wire::Job::from(&*watched.borrow());
         Ok(Response::new(job))
     }
 
     async fn watch(&self, request: Request<wire::WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
-        let watched = self.watched(request.into_inner().job).await?;
+        let caller = caller(&request)?;
+        let slot = self.watches.take(caller.name.clone())?;
+        let watched = self.watched(&caller, request.into_inner().job).await?;
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(forward(watched, sender));
-        Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+        Ok(Response::new(Box::pin(holding(ReceiverStream::new(receiver), slot))))
     }
 
     async fn fetch_image(
         &self,
         request: Request<wire::FetchImageRequest>,
     ) -> Result<Response<Self::FetchImageStream>, Status> {
+        let caller = caller(&request)?;
+        let slot = self.fetches.take(caller.name.clone())?;
         let job = request.into_inner().job;
+        self.watched(&caller, job).await?;
         let image = self.context.driver.image(JobId(job)).await.map_err(|e| match e {
             NoImage::NoJob => no_job(job),
             NoImage::NotDone(state) => {
@@ -163,18 +205,26 @@ impl Jobs for JobsService {
                 Status::failed_precondition(text)
             }
         })?;
-        Ok(Response::new(stored_chunks(self.context.store.clone(), image.digest)?))
+        let chunks = stored_chunks(self.context.store.clone(), image.digest)?;
+        Ok(Response::new(Box::pin(holding(chunks, slot))))
     }
 
     async fn cancel(&self, request: Request<wire::CancelRequest>) -> Result<Response<wire::Job>, Status> {
+        let caller = caller(&request)?;
         let job = request.into_inner().job;
+        self.watched(&caller, job).await?;
         let progress = self.context.driver.cancel(JobId(job)).await.ok_or_else(|| no_job(job))?;
         Ok(Response::new((&progress).into()))
     }
 
     async fn workers(&self, _: Request<wire::WorkersRequest>) -> Result<Response<wire::WorkersReply>, Status> {
         let workers = self.context.driver.workers().await;
-        Ok(Response::new(wire::WorkersReply { workers: workers.iter().map(Into::into).collect() }))
+        let listed = workers.iter().map(|w| {
+            let mut worker = wire::Worker::from(w);
+            worker.name = truncated(&worker.name, MAX_LISTED_WORKER_BYTES).to_owned();
+            worker
+        });
+        Ok(Response::new(wire::WorkersReply { workers: listed.collect() }))
     }
 }
 

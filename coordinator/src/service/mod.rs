@@ -1,17 +1,26 @@
 //! The gRPC edge: decode, ask the driver, reply. No decisions here.
 
 mod cluster;
+mod connection;
+mod gate;
 mod jobs;
+mod quota;
+mod rate;
 mod relay;
 
+pub(crate) use connection::{ConnectionLimits, Incoming, Peer};
+
+use crate::access::{Access, Role};
 use crate::compute::Compute;
+use crate::counters::Counters;
 use crate::driver::Handle;
 use crate::room::Rooms;
 use crate::store::Store;
+use bytes::Bytes;
+use gate::{CountRefusals, Gate};
 use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::chunk;
 use gatherlight_proto::limits::{CONNECTION_WINDOW_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES};
-use gatherlight_proto::version;
 use gatherlight_proto::wire::Chunk;
 use gatherlight_proto::wire::cluster_server::ClusterServer;
 use gatherlight_proto::wire::jobs_server::JobsServer;
@@ -19,16 +28,25 @@ use gatherlight_proto::wire::relay_server::RelayServer;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio_stream::{Stream, StreamExt};
+use tokio_stream::Stream;
+use tonic::Status;
+use tonic::service::Routes;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Server;
 use tonic::transport::server::Router;
-use tonic::{Request, Status};
+use tower::Layer;
+use tower::layer::layer_fn;
 
 /// Silence on a connection after which it is probed, and after which an unanswered probe ends it.
 const KEEPALIVE: Duration = Duration::from_secs(10);
 /// Streams one connection may have open: sessions, fetches and deliveries of one peer.
 const MAX_STREAMS: u32 = 256;
+/// Longest headers of a call, together.
+const MAX_HEADER_BYTES: u32 = 16 << 10;
+/// Streams a peer may open and reset before they are looked at.
+const MAX_RESETS: usize = 20;
+/// Longest question to the health service, which anyone may ask.
+const MAX_HEALTH_BYTES: usize = 1 << 10;
 
 /// A stream of replies.
 type ReplyStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
@@ -40,22 +58,29 @@ pub(crate) struct Context {
     pub(crate) compute: Compute,
     pub(crate) store: Arc<Store>,
     pub(crate) rooms: Rooms,
+    pub(crate) access: Access,
+    pub(crate) counters: Arc<Counters>,
 }
 
-type Check = fn(Request<()>) -> Result<Request<()>, Status>;
+/// All services, their refusals counted.
+type Counting = CountRefusals<Routes>;
 
-fn check_worker(request: Request<()>) -> Result<Request<()>, Status> {
-    version::check(request.metadata(), "worker", true)?;
-    Ok(request)
-}
-
-fn check_client(request: Request<()>) -> Result<Request<()>, Status> {
-    version::check(request.metadata(), "client", false)?;
-    Ok(request)
+/// A server with this project's windows and limits.
+pub(crate) fn server() -> Server {
+    Server::builder()
+        .initial_stream_window_size(STREAM_WINDOW_BYTES)
+        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .max_concurrent_streams(MAX_STREAMS)
+        .http2_max_header_list_size(MAX_HEADER_BYTES)
+        .http2_max_pending_accept_reset_streams(Some(MAX_RESETS))
+        .http2_keepalive_interval(Some(KEEPALIVE))
+        .http2_keepalive_timeout(Some(KEEPALIVE))
+        .tcp_nodelay(true)
 }
 
 /// Both services and the standard health service, ready to be served.
-pub(crate) async fn router(context: Context) -> Router {
+pub(crate) async fn router(server: Server, context: Context) -> Router<impl Layer<Routes, Service = Counting> + Clone> {
+    let (access, counters) = (context.access.clone(), context.counters.clone());
     let cluster =
         ClusterServer::new(cluster::ClusterService::new(context.clone())).max_decoding_message_size(MAX_MESSAGE_BYTES);
     let relay = RelayServer::new(relay::RelayService::new(context.clone()));
@@ -63,35 +88,28 @@ pub(crate) async fn router(context: Context) -> Router {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<ClusterServer<cluster::ClusterService>>().await;
     reporter.set_serving::<JobsServer<jobs::JobsService>>().await;
-    Server::builder()
-        .initial_stream_window_size(STREAM_WINDOW_BYTES)
-        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-        .max_concurrent_streams(MAX_STREAMS)
-        .http2_keepalive_interval(Some(KEEPALIVE))
-        .http2_keepalive_timeout(Some(KEEPALIVE))
-        .tcp_nodelay(true)
-        .add_service(health)
-        .add_service(InterceptedService::new(cluster, check_worker as Check))
-        .add_service(InterceptedService::new(relay, check_worker as Check))
-        .add_service(InterceptedService::new(jobs, check_client as Check))
+    let gate = |role| Gate { access: access.clone(), role };
+    server
+        .layer(layer_fn(move |inner| CountRefusals { inner, counters: counters.clone() }))
+        // Anyone may ask for it, so that it takes little.
+        .add_service(health.max_decoding_message_size(MAX_HEALTH_BYTES))
+        .add_service(InterceptedService::new(cluster, gate(Role::Worker)))
+        .add_service(InterceptedService::new(relay, gate(Role::Worker)))
+        .add_service(InterceptedService::new(jobs, gate(Role::Client)))
 }
 
 /// A blob of the store as chunks, read as they are sent.
 fn stored_chunks(store: Arc<Store>, digest: Digest) -> Result<ReplyStream<Chunk>, Status> {
     let total = store.len(digest).map_err(|e| Status::not_found(e.to_string()))?;
     let (sender, receiver) = tokio::sync::mpsc::channel(1);
-    tokio::task::spawn_blocking(move || {
+    tokio::spawn(async move {
         let (mut index, mut offset) = (0, 0);
         loop {
-            let piece = store.read_at(digest, offset).map_err(|e| Status::data_loss(e.to_string()));
-            let length = piece.as_ref().map_or(0, |p| p.len() as u64);
-            let done = length == 0 && offset < total;
-            let item = match done {
-                true => Err(piece.err().unwrap_or_else(|| Status::data_loss("a stored blob is cut off"))),
-                false => piece.map(|data| chunk(index, digest, total, data)),
-            };
+            let item = stored_piece(store.clone(), digest, offset, total).await;
+            let length = item.as_ref().map_or(0, |data| data.len() as u64);
             let failed = item.is_err();
-            if sender.blocking_send(item).is_err() || failed {
+            let item = item.map(|data| chunk(index, digest, total, data));
+            if sender.send(item).await.is_err() || failed {
                 return;
             }
             (index, offset) = (index + 1, offset + length);
@@ -100,5 +118,15 @@ fn stored_chunks(store: Arc<Store>, digest: Digest) -> Result<ReplyStream<Chunk>
             }
         }
     });
-    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receiver).map(|item| item)))
+    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receiver)))
+}
+
+/// The piece of a blob at `offset`. It holds a thread while the disk works, and none while its reader is slow.
+async fn stored_piece(store: Arc<Store>, digest: Digest, offset: u64, total: u64) -> Result<Bytes, Status> {
+    let read = tokio::task::spawn_blocking(move || store.read_at(digest, offset)).await;
+    let data = read.map_err(|e| Status::internal(e.to_string()))?.map_err(|e| Status::data_loss(e.to_string()))?;
+    if data.is_empty() && offset < total {
+        return Err(Status::data_loss("a stored blob is cut off"));
+    }
+    Ok(data)
 }

@@ -112,6 +112,10 @@ impl Store {
             }
         }
     }
+    /// Bytes held, and reserved for what is on its way.
+    pub fn used_bytes(&self) -> u64 {
+        self.used_bytes.load(Ordering::Relaxed)
+    }
     /// Whether the blob is there.
     pub fn contains(&self, digest: Digest) -> bool {
         match &self.place {

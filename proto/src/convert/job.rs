@@ -79,6 +79,7 @@ impl From<&JobProgress> for wire::Job {
             rounds: p.rounds,
             priority: p.priority,
             waits_for: cut(&p.waits_for, MAX_ERROR_BYTES),
+            owner: cut(&p.owner, MAX_NAME_BYTES),
         }
     }
 }
@@ -110,6 +111,7 @@ impl TryFrom<wire::Job> for JobProgress {
             rounds: j.rounds,
             priority: j.priority,
             waits_for: cut(&j.waits_for, MAX_ERROR_BYTES),
+            owner: cut(&j.owner, MAX_NAME_BYTES),
         })
     }
 }

@@ -4,12 +4,29 @@ use super::{map_kind, name, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
 use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_RESULT_BYTES, MAX_THREADS};
-use crate::message::{BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, Task, ToWorker, WorkerId};
+use crate::message::{
+    BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, SessionKey, Task, ToWorker, WorkerId,
+};
 use crate::types::JobId;
 use crate::wire;
+use bytes::Bytes;
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::MAX_ROUNDS;
 use std::time::Duration;
+
+impl From<SessionKey> for Bytes {
+    fn from(key: SessionKey) -> Self {
+        Bytes::copy_from_slice(&key.0)
+    }
+}
+
+impl TryFrom<&[u8]> for SessionKey {
+    type Error = WireError;
+    fn try_from(bytes: &[u8]) -> Result<Self, WireError> {
+        let key = bytes.try_into().map_err(|_| WireError::invalid("session", "has to have 16 bytes"))?;
+        Ok(SessionKey(key))
+    }
+}
 
 fn range(first: u64, end: u64) -> Result<EmissionRange, WireError> {
     EmissionRange::new(first, end).ok_or_else(|| WireError::invalid("end", format!("{end} is before {first}")))
@@ -55,7 +72,8 @@ impl TryFrom<wire::WorkerMessage> for FromWorker {
             Kind::TaskFailed(t) => FromWorker::TaskFailed {
                 lease: LeaseId(t.lease),
                 attempt: t.attempt,
-                error: truncated(&t.error, MAX_ERROR_BYTES).to_owned(),
+                // It will be shown on terminals.
+                error: truncated(&t.error, MAX_ERROR_BYTES).replace(|c: char| c.is_control() && c != '\n', " "),
             },
             Kind::TaskReturned(t) => FromWorker::TaskReturned { lease: LeaseId(t.lease), attempt: t.attempt },
             Kind::Draining(_) => FromWorker::Draining,
@@ -139,9 +157,11 @@ impl From<ToWorker> for wire::CoordinatorMessage {
     fn from(m: ToWorker) -> Self {
         use wire::coordinator_message::Kind;
         let kind = match m {
-            ToWorker::Welcome { worker, session, heartbeat } => {
-                Kind::Welcome(wire::Welcome { worker: worker.0, session, heartbeat_ms: heartbeat.as_millis() as u32 })
-            }
+            ToWorker::Welcome { worker, session, heartbeat } => Kind::Welcome(wire::Welcome {
+                worker: worker.0,
+                session: session.into(),
+                heartbeat_ms: heartbeat.as_millis() as u32,
+            }),
             ToWorker::Prepare { job, scene, settings } => Kind::Prepare(wire::Prepare {
                 job: job.0,
                 scene: Some((&scene).into()),
@@ -165,7 +185,7 @@ impl TryFrom<wire::CoordinatorMessage> for ToWorker {
                 // Never a busy loop, and never so rare that the coordinator takes us for dead.
                 let heartbeat = Duration::from_millis(w.heartbeat_ms.into());
                 let heartbeat = heartbeat.clamp(HEARTBEAT / 100, HEARTBEAT);
-                ToWorker::Welcome { worker: WorkerId(w.worker), session: w.session, heartbeat }
+                ToWorker::Welcome { worker: WorkerId(w.worker), session: (&w.session[..]).try_into()?, heartbeat }
             }
             Kind::Prepare(p) => ToWorker::Prepare {
                 job: JobId(p.job),
@@ -183,7 +203,7 @@ impl TryFrom<wire::CoordinatorMessage> for ToWorker {
 impl From<DeliverHeader> for wire::DeliverHeader {
     fn from(h: DeliverHeader) -> Self {
         wire::DeliverHeader {
-            session: h.session,
+            session: h.session.into(),
             lease: h.lease.0,
             attempt: h.attempt,
             first: h.range.first,
@@ -200,7 +220,7 @@ impl TryFrom<wire::DeliverHeader> for DeliverHeader {
     fn try_from(h: wire::DeliverHeader) -> Result<Self, WireError> {
         WireError::check_limit("result size in bytes", h.bytes, MAX_RESULT_BYTES, "MAX_RESULT_BYTES")?;
         Ok(DeliverHeader {
-            session: h.session,
+            session: (&h.session[..]).try_into()?,
             lease: LeaseId(h.lease),
             attempt: h.attempt,
             range: range(h.first, h.end)?,

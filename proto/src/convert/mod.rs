@@ -22,9 +22,12 @@ fn required<T>(field: &'static str, value: Option<T>) -> Result<T, WireError> {
     value.ok_or(WireError::Missing(field))
 }
 
-/// A bounded text.
+/// A bounded text that a terminal or log may show.
 fn name(field: &'static str, text: String) -> Result<String, WireError> {
     WireError::check_limit(field, text.len() as u64, MAX_NAME_BYTES as u64, "MAX_NAME_BYTES")?;
+    if text.chars().any(char::is_control) {
+        return Err(WireError::invalid(field, "has control characters"));
+    }
     Ok(text)
 }
 

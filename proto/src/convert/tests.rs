@@ -3,7 +3,7 @@
 use crate::digest::Digest;
 use crate::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, PassRequest, PassTicket, RelayAddress, Route,
-    SceneManifest, Task, ToWorker,
+    SceneManifest, SessionKey, Task, ToWorker,
 };
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite};
 use crate::wire;
@@ -138,7 +138,7 @@ fn messages_between_coordinator_and_worker_survive() {
         assert_eq!(FromWorker::try_from(wire::WorkerMessage::from(m.clone())), Ok(m));
     }
     let header = DeliverHeader {
-        session: 1,
+        session: SessionKey([1; 16]),
         lease: LeaseId(2),
         attempt: 3,
         range: EmissionRange { first: 4, end: 5 },
@@ -268,6 +268,7 @@ fn job_snapshots_survive() {
             rounds: 10,
             priority: -7,
             waits_for: "memory".into(),
+            owner: "o".into(),
         };
         assert_eq!(JobProgress::try_from(wire::Job::from(&p)), Ok(p));
     }

@@ -4,11 +4,16 @@ use crate::Violation;
 use crate::source::{Source, is_word_char, read};
 
 /// Package directory, its library's name, and the packages of ours that it may name.
-const PACKAGES: [(&str, &str, &[&str]); 5] = [
+const PACKAGES: [(&str, &str, &[&str]); 6] = [
     ("render", "gatherlight_render", &[]),
     ("proto", "gatherlight_proto", &["gatherlight_render"]),
-    ("worker", "gatherlight_worker", &["gatherlight_proto", "gatherlight_render"]),
-    ("coordinator", "gatherlight", &["gatherlight_proto", "gatherlight_render", "gatherlight_worker"]),
+    ("telemetry", "gatherlight_telemetry", &[]),
+    ("worker", "gatherlight_worker", &["gatherlight_proto", "gatherlight_render", "gatherlight_telemetry"]),
+    (
+        "coordinator",
+        "gatherlight",
+        &["gatherlight_proto", "gatherlight_render", "gatherlight_telemetry", "gatherlight_worker"],
+    ),
     ("tests", "gatherlight_tests", &["gatherlight", "gatherlight_proto", "gatherlight_render", "gatherlight_worker"]),
 ];
 

@@ -40,7 +40,7 @@ pub(crate) fn function_length(source: &Source) -> Vec<Violation> {
 /// Every package takes its edition, version, licence and lints from the workspace.
 pub(crate) fn packages() -> Vec<Violation> {
     let mut violations = Vec::new();
-    for package in ["coordinator", "proto", "render", "tests", "worker"] {
+    for package in ["coordinator", "proto", "render", "telemetry", "tests", "worker"] {
         let path = format!("{package}/Cargo.toml");
         let manifest = read(&path);
         for line in ["edition.workspace = true", "version.workspace = true", "license.workspace = true"] {

@@ -93,7 +93,7 @@ pub(crate) fn read(path: &str) -> String {
 /// Every Rust source file of the packages, in order of path.
 pub(crate) fn workspace_sources() -> Vec<Source> {
     let mut paths = Vec::new();
-    for package in ["coordinator", "proto", "render", "tests", "worker"] {
+    for package in ["coordinator", "proto", "render", "telemetry", "tests", "worker"] {
         collect(&root().join(package), package, &mut paths);
     }
     paths.sort();

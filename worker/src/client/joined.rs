@@ -3,15 +3,16 @@
 use super::{Connector, Remote};
 use crate::cache::Cache;
 use crate::config::{Faults, WorkerConfig};
+use crate::counters::Counters;
 use crate::error::{TaskError, is_final};
 use crate::executor::Executor;
-use crate::relay::Relay;
+use crate::relay::{Listen, Relay};
 use crate::session::{Action, Announced, Input, Session};
 use crate::{emission, gather};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::connect::reason;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, RelayAddress, Task, ToWorker};
+use gatherlight_proto::connect::{Stamp, reason};
+use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, RelayAddress, SessionKey, Task, ToWorker};
 use gatherlight_render::job::{Inputs, PhotonMaps};
 use std::future::Future;
 use std::pin::Pin;
@@ -69,6 +70,10 @@ impl Life {
     /// Begins to listen for other workers, unless it does or should not. A worker that cannot fetches from the coordinator.
     async fn listen(&mut self, connector: &Connector) {
         let (Some(host), None) = (&connector.host, self.relay_address) else { return };
+        // What others fetch from here is not encrypted: where the coordinator's connections are, only on request.
+        if connector.credentials.tls().is_some() && self.config.relay == Listen::Auto {
+            return;
+        }
         match self.relay.listen(self.config.relay, host).await {
             Ok(address) => self.relay_address = address,
             Err(error) => tracing::warn!(%error, "cannot listen for other workers"),
@@ -90,10 +95,11 @@ impl Life {
             relay: self.relay_address,
         };
         drop(outbound.try_send(FromWorker::Hello(hello)));
-        let (versions, relay) = (self.config.versions.clone(), self.relay.clone());
+        let stamp = Stamp::new(self.config.versions.clone(), &connector.credentials);
+        let relay = self.relay.clone();
         let joining = async {
             let channel = (connector.open)().await.map_err(|e| Ended::NotReached(reason(&e)))?;
-            let mut remote = Remote::new(channel, versions, relay);
+            let mut remote = Remote::new(channel, stamp, relay, self.config.counters.clone());
             match remote.join(messages).await {
                 Ok(inbound) => Ok((remote, inbound)),
                 Err(status) if is_final(&status) => Err(Ended::Refused(status.message().into())),
@@ -111,6 +117,7 @@ impl Life {
         let (inputs, events) = mpsc::channel(QUEUE);
         let joined = Joined { remote, outbound, inputs, tasks: JoinSet::new() };
         let ended = self.work(joined, inbound, events, shutdown).await;
+        self.config.counters.set_joined(false);
         // Another session's coordinator announces its jobs again; scene files stay.
         self.cache.lock().await.forget_all();
         self.relay.end_session();
@@ -152,6 +159,7 @@ impl Life {
         match action {
             Action::Welcomed { session, heartbeat } => {
                 tracing::info!(name = self.config.name, "joined");
+                self.config.counters.set_joined(true);
                 joined.remote = joined.remote.in_session(session);
                 joined.tasks.spawn(beat(joined.outbound.clone(), heartbeat));
             }
@@ -164,6 +172,7 @@ impl Life {
                         remote: joined.remote.clone(),
                         executor: self.executor.clone(),
                         cache: self.cache.clone(),
+                        counters: self.config.counters.clone(),
                         faults: self.config.faults.clone(),
                     },
                     lease,
@@ -227,6 +236,7 @@ struct Tools {
     remote: Remote,
     executor: Executor,
     cache: Arc<Mutex<Cache>>,
+    counters: Arc<Counters>,
     faults: Faults,
 }
 
@@ -241,22 +251,28 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
         }
         Err(error) => {
             tracing::warn!(lease = id.0, %error, "task failed");
+            tools.counters.tasks_failed.add(1);
             drop(inputs.send(Input::ComputeFailed(id, error.to_string())).await);
             return;
         }
     };
+    tools.counters.tasks_done.add(1);
+    tools.counters.add_busy(busy);
     // From here on the next lease may be computed.
     drop(inputs.send(Input::Computed(id)).await);
     let (bytes, digest) = (payload.len() as u64, Digest::of(&payload));
-    let header =
-        DeliverHeader { session: 0, lease: id, attempt: lease.attempt, range: lease.range, busy, bytes, digest };
+    let (session, attempt, range) = (SessionKey([0; 16]), lease.attempt, lease.range);
+    let header = DeliverHeader { session, lease: id, attempt, range, busy, bytes, digest };
     let input = match deliver(&tools, header, payload).await {
         Ok(accepted) => {
             tracing::debug!(lease = id.0, accepted, "delivered");
+            tools.counters.results_delivered.add(1);
+            tools.counters.delivered_bytes.add(bytes);
             Input::Delivered(id)
         }
         Err(error) => {
             tracing::warn!(lease = id.0, %error, "result not delivered");
+            tools.counters.results_failed.add(1);
             Input::DeliveryFailed(id, error.to_string())
         }
     };
@@ -264,7 +280,7 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
 }
 
 async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes, Duration), TaskError> {
-    let Tools { remote, executor, cache, faults } = tools;
+    let Tools { remote, executor, cache, faults, .. } = tools;
     if faults.delay > Duration::ZERO {
         tokio::time::sleep(faults.delay).await;
     }

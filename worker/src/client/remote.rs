@@ -1,17 +1,18 @@
 //! The coordinator's calls, as a worker makes them.
 
+use crate::counters::Counters;
 use crate::error::TaskError;
 use crate::relay::{self, Relay};
 use bytes::Bytes;
 use gatherlight_proto::chunk::chunks;
 use gatherlight_proto::connect::Stamp;
 use gatherlight_proto::limits::MAX_MESSAGE_BYTES;
-use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Route};
-use gatherlight_proto::version::Versions;
+use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Route, SessionKey};
 use gatherlight_proto::wire::cluster_client::ClusterClient;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{CoordinatorMessage, DeliverReply, DeliverRequest, LocateRequest, deliver_reply};
 use gatherlight_proto::{Digest, WireError};
+use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::ReceiverStream;
@@ -26,18 +27,20 @@ pub struct Remote {
     /// The coordinator as a source of payloads.
     source: relay::Client,
     relay: Relay,
-    session: u64,
+    session: SessionKey,
+    counters: Arc<Counters>,
 }
 
 impl Remote {
     /// Over `channel`, not joined yet; payloads are fetched by way of `relay`.
-    pub(super) fn new(channel: Channel, versions: Versions, relay: Relay) -> Self {
-        let source = relay::client(channel.clone(), versions.clone());
-        let client = ClusterClient::with_interceptor(channel, Stamp(versions));
-        Remote { client: client.max_decoding_message_size(MAX_MESSAGE_BYTES), source, relay, session: 0 }
+    pub(super) fn new(channel: Channel, stamp: Stamp, relay: Relay, counters: Arc<Counters>) -> Self {
+        let source = relay::client(channel.clone(), stamp.clone());
+        let client = ClusterClient::with_interceptor(channel, stamp);
+        let client = client.max_decoding_message_size(MAX_MESSAGE_BYTES);
+        Remote { client, source, relay, session: SessionKey([0; 16]), counters }
     }
     /// The same connection, with the session's secret name.
-    pub(super) fn in_session(&self, session: u64) -> Self {
+    pub(super) fn in_session(&self, session: SessionKey) -> Self {
         Remote { session, ..self.clone() }
     }
     /// Opens the session; `messages` has the hello in it already.
@@ -61,12 +64,14 @@ impl Remote {
     ) -> Result<Bytes, TaskError> {
         WireError::check_limit("fetched size in bytes", blob.bytes, limit_bytes, limit_name)?;
         let locate = async || {
-            let request = LocateRequest { session: self.session, digest: blob.digest.to_bytes() };
+            let request = LocateRequest { session: self.session.into(), digest: blob.digest.to_bytes() };
             let failed = |status: Status| TaskError::Fetch { what: what.into(), reason: status.message().into() };
             let route = self.client.clone().locate(request).await.map_err(failed)?;
             Ok(Route::try_from(route.into_inner())?)
         };
-        self.relay.fetch(what, blob, self.source.clone(), locate()).await
+        let bytes = self.relay.fetch(what, blob, self.source.clone(), locate()).await?;
+        self.counters.fetched_bytes.add(bytes.len() as u64);
+        Ok(bytes)
     }
     /// The bytes of this payload are not needed here any more.
     pub(crate) fn forget(&self, digest: Digest) {

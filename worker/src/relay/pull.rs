@@ -2,6 +2,7 @@
 
 use super::transfer::Transfer;
 use gatherlight_proto::connect::{Stamp, endpoint, reason};
+use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::limits::MAX_MESSAGE_BYTES;
 use gatherlight_proto::message::{PassRequest, Route};
 use gatherlight_proto::pieces::STRIPES;
@@ -28,8 +29,8 @@ const CONNECT_TIME: Duration = Duration::from_secs(2);
 pub(crate) type Client = RelayClient<InterceptedService<Channel, Stamp>>;
 
 /// A client for what listens on `channel`.
-pub(crate) fn client(channel: Channel, versions: Versions) -> Client {
-    RelayClient::with_interceptor(channel, Stamp(versions)).max_decoding_message_size(MAX_MESSAGE_BYTES)
+pub(crate) fn client(channel: Channel, stamp: Stamp) -> Client {
+    RelayClient::with_interceptor(channel, stamp).max_decoding_message_size(MAX_MESSAGE_BYTES)
 }
 
 /// Connections to other workers, kept for the next payload; clones share them.
@@ -48,8 +49,12 @@ impl Peers {
         if let Some(known) = known {
             return Ok(known);
         }
-        let connecting = endpoint(&format!("http://{address}"))?.connect_timeout(CONNECT_TIME).connect().await;
-        let client = client(connecting.map_err(|e| reason(&e))?, self.versions.clone());
+        // A ticket is enough there; the coordinator's token is none of another worker's business.
+        let nothing = Credentials::default();
+        let connecting =
+            endpoint(&format!("http://{address}"), &nothing)?.connect_timeout(CONNECT_TIME).connect().await;
+        let stamp = Stamp::new(self.versions.clone(), &nothing);
+        let client = client(connecting.map_err(|e| reason(&e))?, stamp);
         self.lock().insert(address, client.clone());
         Ok(client)
     }

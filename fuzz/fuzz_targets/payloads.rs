@@ -1,0 +1,4 @@
+//! See `gatherlight_tests::fuzz`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gatherlight_tests::fuzz::run("payloads", bytes));
