@@ -124,8 +124,23 @@ pub fn serve_at(address: &str, store: &Path) -> Process {
     spawn_coordinator(address, store, &[]).0
 }
 
+/// A coordinator at `address` to whom a disk seems full where a file would grow beyond `bytes`.
+///
+/// # Panics
+/// When it does not start.
+pub fn serve_with_files_up_to(bytes: u64, address: &str, store: &Path) -> Process {
+    let mut command = Command::new("sh");
+    // Without the signal, writing fails as on a full disk.
+    let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", bytes / 512);
+    command.args(["-c", &limited]).arg(program("gatherlight"));
+    coordinator(command, address, store, &[]).0
+}
+
 fn spawn_coordinator(address: &str, store: &Path, arguments: &[&str]) -> (Process, String) {
-    let mut command = Command::new(program("gatherlight"));
+    coordinator(Command::new(program("gatherlight")), address, store, arguments)
+}
+
+fn coordinator(mut command: Command, address: &str, store: &Path, arguments: &[&str]) -> (Process, String) {
     command.args(["serve", "--listen", address, "--threads", "1", "--store"]).arg(store).args(arguments);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
     let mut line = String::new();

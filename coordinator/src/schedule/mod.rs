@@ -336,7 +336,9 @@ impl Scheduler {
         self.revoke(job, out);
         // Workers drop what waits there of a job that has ended, and say nothing.
         for (lease, s) in self.settled.iter().filter(|(_, s)| s.open.lease.job == job) {
-            self.workers.entry(s.open.worker).and_modify(|w| drop(w.behind.remove(lease)));
+            if let Some(w) = self.workers.get_mut(&s.open.worker) {
+                w.behind.remove(lease);
+            }
         }
         for (&worker, w) in &mut self.workers {
             if w.forget(job) {

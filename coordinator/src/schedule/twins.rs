@@ -68,7 +68,9 @@ impl Scheduler {
     /// Whoever has not answered by the deadline never will.
     pub(super) fn forget_settled(&mut self, now: Duration) {
         for (lease, s) in self.settled.extract_if(.., |_, s| now > s.open.deadline) {
-            self.workers.entry(s.open.worker).and_modify(|w| drop(w.behind.remove(&lease)));
+            if let Some(w) = self.workers.get_mut(&s.open.worker) {
+                w.behind.remove(&lease);
+            }
         }
     }
 
@@ -87,7 +89,9 @@ impl Scheduler {
     /// The slower worker has said what became of its lease; what was known of it.
     pub(super) fn answered(&mut self, worker: WorkerId, lease: LeaseId, attempt: u32) -> Option<Settled> {
         self.settled(worker, lease, attempt)?;
-        self.workers.entry(worker).and_modify(|w| drop(w.behind.remove(&lease)));
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.behind.remove(&lease);
+        }
         self.settled.remove(&lease)
     }
 
