@@ -6,7 +6,8 @@ use gatherlight::client::connect;
 use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::chunks;
 use gatherlight_proto::connect::Stamp;
-use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, Task, ToWorker};
+use gatherlight_proto::credentials::Credentials;
+use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, SessionKey, Task, ToWorker};
 use gatherlight_proto::payload::photons::encode_batch;
 use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::cluster_client::ClusterClient;
@@ -59,7 +60,7 @@ fn batch() -> PhotonBatch {
     batch
 }
 
-async fn deliver(client: &mut Client, session: u64, lease: Lease, batch: &PhotonBatch) -> bool {
+async fn deliver(client: &mut Client, session: SessionKey, lease: Lease, batch: &PhotonBatch) -> bool {
     let payload = encode_batch(&PhotonBatch { range: lease.range, ..batch.clone() });
     let header = DeliverHeader {
         session,
@@ -86,13 +87,13 @@ async fn deliver(client: &mut Client, session: u64, lease: Lease, batch: &Photon
 /// A worker that has its results the moment it is given a lease, until `left` are delivered in all.
 async fn session(url: String, batch: Arc<PhotonBatch>, left: Arc<AtomicUsize>, merged: Arc<AtomicUsize>) {
     let channel = Endpoint::from_shared(url).expect("a URL").connect().await.expect("connects");
-    let mut client = ClusterClient::with_interceptor(channel, Stamp(Versions::own()));
+    let mut client = ClusterClient::with_interceptor(channel, Stamp::new(Versions::own(), &Credentials::default()));
     let (outbound, messages) = mpsc::channel(4);
     let hello = Hello { name: "fast".into(), threads: 1, memory_bytes: 1 << 30, relay: None };
     outbound.send(FromWorker::Hello(hello)).await.expect("is open");
     let joined = client.join(ReceiverStream::new(messages).map(Into::into)).await.expect("joins");
     let mut inbound = joined.into_inner();
-    let mut name = 0;
+    let mut name = SessionKey([0; 16]);
     while let Ok(Some(message)) = inbound.message().await {
         match ToWorker::try_from(message).expect("makes sense") {
             ToWorker::Welcome { session, .. } => {

@@ -4,6 +4,7 @@
 use gatherlight::embedded;
 use gatherlight::types::JobProgress;
 use gatherlight_proto::connect::Stamp;
+use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::message::{FromWorker, Hello, PassRequest, PassTicket, RelayAddress, Route, ToWorker};
 use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::version::Versions;
@@ -151,7 +152,7 @@ impl Relay for Liar {
 /// Joins as a worker that relays and takes no leases. Returns how often it was asked, and the routes it is told.
 async fn liar(coordinator: &Coordinator, fate: Fate) -> (Arc<AtomicUsize>, mpsc::Receiver<Route>) {
     let channel = Endpoint::from_shared(coordinator.url()).expect("a URL").connect().await.expect("connects");
-    let stamp = Stamp(Versions::own());
+    let stamp = Stamp::new(Versions::own(), &Credentials::default());
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("is bound");
     let asked = Arc::new(AtomicUsize::new(0));
@@ -207,7 +208,7 @@ async fn relays_that_lie_stall_or_are_not_there_are_routed_around() {
 /// Asks a worker for a payload.
 async fn ask(address: SocketAddr, request: PassRequest) -> Result<Vec<Passed>, Status> {
     let channel = Endpoint::from_shared(format!("http://{address}")).expect("a URL").connect().await.expect("connects");
-    let mut client = RelayClient::with_interceptor(channel, Stamp(Versions::own()));
+    let mut client = RelayClient::with_interceptor(channel, Stamp::new(Versions::own(), &Credentials::default()));
     let mut passed = client.pass(wire::PassRequest::from(request)).await?.into_inner();
     let mut all = Vec::new();
     while let Some(message) = passed.message().await? {
