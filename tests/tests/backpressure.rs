@@ -89,7 +89,7 @@ async fn session(url: String, batch: Arc<PhotonBatch>, left: Arc<AtomicUsize>, m
     let channel = Endpoint::from_shared(url).expect("a URL").connect().await.expect("connects");
     let mut client = ClusterClient::with_interceptor(channel, Stamp::new(Versions::own(), &Credentials::default()));
     let (outbound, messages) = mpsc::channel(4);
-    let hello = Hello { name: "fast".into(), threads: 1, memory_bytes: 1 << 30, relay: None };
+    let hello = Hello { name: "fast".into(), threads: 1, memory_bytes: u64::MAX, relay: None };
     outbound.send(FromWorker::Hello(hello)).await.expect("is open");
     let joined = client.join(ReceiverStream::new(messages).map(Into::into)).await.expect("joins");
     let mut inbound = joined.into_inner();
