@@ -300,7 +300,8 @@ fn emission_plan(
     let first_radius = match (settings.method, settings.max_radius) {
         (Method::Progressive, None) => {
             let map = PhotonMap::build(kind, photons);
-            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel)
+            let photons = progressive::first_round_photons(kind, settings.kernel);
+            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel, photons)
         }
         (_, given) => given.map_or(0.0, |r| scene.space.length(f64::from(r))),
     };
