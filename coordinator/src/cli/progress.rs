@@ -324,9 +324,8 @@ mod tests {
     #[test]
     fn a_limit_tells_the_time_left() {
         let (elapsed, noise) = (Duration::from_secs(10), Some(Noise { standard_error: 0.1, relative: 0.04 }));
-        let left = |time, error| {
-            left_until_limit(elapsed, noise, Limits { time, error }).map(|d| d.as_secs_f64().round())
-        };
+        let left =
+            |time, error| left_until_limit(elapsed, noise, Limits { time, error }).map(|d| d.as_secs_f64().round());
         assert_eq!(left(None, None), None);
         assert_eq!(left(Some(Duration::from_secs(70)), None), Some(60.0));
         // Half the noise takes four times as long.
@@ -338,7 +337,8 @@ mod tests {
     #[test]
     fn a_phase_states_its_rate_and_the_time_left() {
         let state = JobState::Emission(MapKind::Caustic);
-        let f = Figures { done: 250_000, total: 1_000_000, rate: 50_000.0, elapsed: Duration::from_secs(5), left: None };
+        let f =
+            Figures { done: 250_000, total: 1_000_000, rate: 50_000.0, elapsed: Duration::from_secs(5), left: None };
         assert_eq!(running_text(Some(&state), f, 3), "50.0 k paths/s, 15.0 s left, 3 workers");
         assert_eq!(ended_text(Some(&state), f), "emission caustic 250 k paths in 5.00 s (50.0 k paths/s)");
         assert_eq!(running_text(Some(&JobState::Gather), Figures::default(), 1), "");

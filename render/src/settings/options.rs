@@ -242,9 +242,7 @@ impl RenderSettings {
         let settings = match method {
             Method::Whitted => RenderSettings { samples: 4, ..base },
             Method::Path => RenderSettings { samples: 64, ..base },
-            Method::Progressive => {
-                RenderSettings { rounds: PROGRESSIVE_ROUNDS, kernel: Kernel::Epanechnikov, ..base }
-            }
+            Method::Progressive => RenderSettings { rounds: PROGRESSIVE_ROUNDS, kernel: Kernel::Epanechnikov, ..base },
             Method::Bdpt | Method::Mlt | Method::Photon | Method::Vcm => base,
         };
         let [photons, caustic_photons] = settings.default_photons();
