@@ -19,7 +19,7 @@ use crate::settings::RenderSettings;
 /// At 256 × 256 and 64 to 80 rounds, cornell-caustic and caustic-ring change by less than 10 % between half and twice of either, and get
 /// worse beyond.
 const FIRST_ROUND_GLOBAL: f32 = 20.0;
-const FIRST_ROUND_CAUSTIC: f32 = 4.0;
+const FIRST_ROUND_CAUSTIC: f32 = 3.0;
 /// Neighbours that measure the density in the pilot's map.
 const PILOT_NEIGHBOURS: u32 = 8;
 /// Least first radius, in pixels' widths: less would show nothing more.
