@@ -108,7 +108,7 @@ impl Summary {
             s.width,
             s.height,
             s.method.name(),
-            effort(s),
+            effort(s, t),
             duration(self.elapsed)
         );
         for m in &t.maps {
@@ -130,7 +130,7 @@ impl Summary {
             text.push_str(&format!(
                 "\n{} mutations in {} chains: accepted {:.0} % of the large steps, {:.0} % of the small ones",
                 grouped(t.mutations.total()),
-                grouped(u64::from(s.chains)),
+                grouped(t.units_done),
                 100.0 * large,
                 100.0 * small
             ));
@@ -156,12 +156,10 @@ impl Summary {
         let (s, t) = (&self.settings, &self.stats);
         let Some(limit) = t.ended_by else { return String::new() };
         let what = match t.units_done {
-            0 if s.method.has_rounds() => {
-                format!("{} of {} rounds", grouped(t.rounds_done.into()), grouped(s.rounds.into()))
-            }
             0 => {
-                let done = samples_done(s, t).unwrap_or(0);
-                format!("{} of {} samples", grouped(done.into()), grouped(s.samples.into()))
+                let what = if s.method.has_rounds() { "rounds" } else { "samples" };
+                let of = if s.is_open_ended() { String::new() } else { format!(" of {}", grouped(s.parts().into())) };
+                format!("{}{of} {what}", grouped(samples_per_pixel(s, t).unwrap_or(0).into()))
             }
             units => format!("{} units", grouped(units)),
         };
@@ -176,8 +174,8 @@ impl Summary {
             "method": s.method.name(),
             "width": s.width,
             "height": s.height,
-            "samples": samples_per_pixel(s),
-            "mutations": (s.method == Method::Mlt).then_some(s.mutations),
+            "samples": samples_per_pixel(s, t),
+            "mutations": (s.method == Method::Mlt).then(|| mutations_per_pixel(s, t)),
             "seed": s.seed,
             "elapsed_s": self.elapsed.as_secs_f64(),
             "standard_error": t.noise.map(|n| n.standard_error),
@@ -225,12 +223,15 @@ fn peak_memory() -> Option<u64> {
     kib.map(|k| k * 1024)
 }
 
-/// Camera samples of each pixel: one a round, where there are rounds; Markov chains have none of their own.
-fn samples_per_pixel(s: &RenderSettings) -> Option<u32> {
+/// Camera samples of each pixel that the image is the mean of: one a round, where there are rounds; Markov chains have none of their own.
+fn samples_per_pixel(s: &RenderSettings, t: &JobStats) -> Option<u32> {
     match s.method {
         Method::Mlt => None,
-        m if m.has_rounds() => Some(s.rounds),
-        _ => Some(s.samples),
+        // All of them.
+        _ if t.ended_by.is_none() => Some(s.parts()),
+        _ if s.has_independent_rounds() => Some(t.units_done as u32),
+        m if m.has_rounds() => Some(t.rounds_done),
+        _ => samples_done(s, t),
     }
 }
 
@@ -240,13 +241,21 @@ fn samples_done(s: &RenderSettings, t: &JobStats) -> Option<u32> {
     by_samples.then(|| s.samples_of_round(t.rounds_done.saturating_sub(1)).end)
 }
 
+/// Mutations a pixel that were done, of all chains.
+fn mutations_per_pixel(s: &RenderSettings, t: &JobStats) -> f64 {
+    let share = if t.ended_by.is_some() { t.units_done as f64 / f64::from(s.chains.max(1)) } else { 1.0 };
+    f64::from(s.mutations) * share
+}
+
 /// How much was computed for each pixel.
-fn effort(s: &RenderSettings) -> String {
-    let plural = |n: u32, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-    match s.method {
-        Method::Mlt => format!("{} a pixel", plural(s.mutations, "mutation")),
-        m if m.has_rounds() => plural(s.rounds, "round"),
-        _ => plural(s.samples, "sample"),
+fn effort(s: &RenderSettings, t: &JobStats) -> String {
+    let plural = |n: &str, what: &str| format!("{n} {what}{}", if n == "1" { "" } else { "s" });
+    match samples_per_pixel(s, t) {
+        None => {
+            let mutations = (mutations_per_pixel(s, t) * 100.0).round() / 100.0;
+            format!("{} a pixel", plural(&mutations.to_string(), "mutation"))
+        }
+        Some(n) => plural(&n.to_string(), if s.method.has_rounds() { "round" } else { "sample" }),
     }
 }
 
@@ -301,10 +310,22 @@ mod tests {
 
     #[test]
     fn each_method_counts_its_own_effort() {
-        let of = |method| effort(&RenderSettings { samples: 1, ..RenderSettings::for_method(method) });
+        let all = JobStats::default();
+        let of = |method| effort(&RenderSettings { samples: 1, ..RenderSettings::for_method(method) }, &all);
         assert_eq!(of(Method::Path), "1 sample");
         assert_eq!(of(Method::Progressive), "128 rounds");
         assert_eq!(of(Method::Mlt), "64 mutations a pixel");
-        assert_eq!(samples_per_pixel(&RenderSettings::for_method(Method::Vcm)), Some(64));
+        assert_eq!(samples_per_pixel(&RenderSettings::for_method(Method::Vcm), &all), Some(64));
+    }
+
+    #[test]
+    fn a_job_that_a_limit_ended_counts_what_was_done() {
+        let ended_by = Some(crate::types::Limit::Time);
+        let some = JobStats { rounds_done: 5, units_done: 32, ended_by, ..JobStats::default() };
+        let of = |method| effort(&RenderSettings::for_method(method), &some);
+        assert_eq!(of(Method::Progressive), "5 rounds");
+        // Blocks of 1, 1, 2, 4 and 8 of 64 samples; 32 of 1,024 chains of 64 mutations a pixel in all.
+        assert_eq!(of(Method::Path), "16 samples");
+        assert_eq!(of(Method::Mlt), "2 mutations a pixel");
     }
 }

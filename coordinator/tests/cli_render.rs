@@ -186,3 +186,37 @@ fn a_full_disk_leaves_nothing_half_written() {
     assert_eq!(std::fs::read(dir.path().join("x.exr")).unwrap(), b"old");
     assert_eq!(files(dir.path()), ["the triangle.bin", "triangle.gltf", "x.exr"]);
 }
+
+#[test]
+fn without_a_count_a_limit_is_the_end() {
+    let dir = triangle_dir();
+    let small = "--photons 2k --caustic-photons 2k";
+    // Far more than the default number of samples fits into the time.
+    for (method, options) in [("path", ""), ("photon", small), ("mlt", "--bootstrap 100 --chains 16")] {
+        let limited = format!("render triangle.gltf -o x.exr --method {method} --height 16 {options}");
+        let run_with = |more: &str| {
+            let run = run(dir.path(), &format!("{limited} {more} --json"));
+            run.says(0, &[]);
+            run.json()
+        };
+        let done = |json: &serde_json::Value| {
+            json[if method == "mlt" { "mutations" } else { "samples" }].as_f64().unwrap_or_else(|| panic!("{json}"))
+        };
+        let json = run_with("--time-limit 2s");
+        assert_eq!(json["stats"]["ended_by"], "time", "{method}: {json}");
+        assert!(done(&json) > 64.0 && done(&json) < 1e6, "{method}: {json}");
+        // A count is an end of its own.
+        let count = if method == "mlt" { "--mutations 3" } else { "--samples 3" };
+        let json = run_with(&format!("{count} --time-limit 1h"));
+        assert_eq!((done(&json), &json["stats"]["ended_by"]), (3.0, &serde_json::Value::Null), "{method}: {json}");
+    }
+    let run_rounds =
+        run(dir.path(), "render triangle.gltf -o x.exr --method vcm --height 16 --target-error 90% --json");
+    run_rounds.says(0, &[]);
+    let json = run_rounds.json();
+    assert_eq!(
+        (&json["stats"]["ended_by"], &json["samples"]),
+        (&"error".into(), &json["stats"]["rounds_done"]),
+        "{json}"
+    );
+}

@@ -300,7 +300,8 @@ fn emission_plan(
     let first_radius = match (settings.method, settings.max_radius) {
         (Method::Progressive, None) => {
             let map = PhotonMap::build(kind, photons);
-            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel)
+            let photons = progressive::first_round_photons(kind, settings.kernel);
+            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel, photons)
         }
         (_, given) => given.map_or(0.0, |r| scene.space.length(f64::from(r))),
     };
@@ -327,12 +328,13 @@ fn plan_light_image(settings: &RenderSettings, entries: &mut Entries) -> u64 {
 
 fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entries: &mut Entries) {
     let (w, h, method) = (settings.width, settings.height, settings.method.name());
+    let up_to = if settings.is_open_ended() { "up to " } else { "" };
     let (what, effort) = match settings.method {
         Method::Mlt => {
-            ("Markov chains", format!("{} chains, {} mutations a pixel", settings.chains, settings.mutations))
+            ("Markov chains", format!("{up_to}{} chains, {} mutations a pixel", settings.chains, settings.mutations))
         }
-        m if m.has_rounds() => ("gather pass", format!("{} rounds, one sample each", settings.rounds)),
-        _ => ("gather pass", format!("{} samples each", settings.samples)),
+        m if m.has_rounds() => ("gather pass", format!("{up_to}{} rounds, one sample each", settings.rounds)),
+        _ => ("gather pass", format!("{up_to}{} samples each", settings.samples)),
     };
     entries.add(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));
     if settings.method == Method::Whitted {

@@ -1,5 +1,6 @@
 //! What determines an image: everything here, together with the scene's digest, and nothing else.
 
+mod open_ended;
 mod options;
 pub mod strategies;
 
@@ -435,11 +436,10 @@ impl RenderSettings {
             _ => self.samples,
         }
     }
-    /// The blocks of a job, in order: 1, 1, 2, 4, … parts, up to an eighth of all.
-    pub fn blocks(&self) -> impl Iterator<Item = Block> + use<> {
-        let (parts, most) = (self.parts(), self.parts().div_ceil(8));
-        let next = move |first: u32| {
-            let len = first.clamp(1, most).min(parts.saturating_sub(first));
+    /// The blocks of a job, in order: 1, 1, 2, 4, … parts, up to an eighth of all, or of those before where a limit is to end the job.
+    pub fn blocks(&self) -> impl Iterator<Item = Block> + '_ {
+        let next = |first: u32| {
+            let len = first.clamp(1, self.largest_block(first)).min(self.parts().saturating_sub(first));
             (len > 0).then_some(Block { first, len })
         };
         std::iter::successors(next(0), move |b| next(b.first + b.len))

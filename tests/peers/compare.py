@@ -41,18 +41,14 @@ METHODS = {
     "bdpt": lambda n: ["--samples", str(n)],
     "mlt": lambda n: ["--mutations", str(n)],
     "photon": lambda n: ["--samples", str(n)] + photons(15_625, 31_250)(n),
-    "progressive": lambda n: ["--rounds", str(n)] + photons(100_000, 100_000)(n),
+    "progressive": lambda n: ["--rounds", str(n)],
     "vcm": lambda n: ["--rounds", str(n)],
 }
 # Rows beside those: by scene, options that suit it, for n units of work.
 TUNED = {
     "cornell-diffuse": {"photon --final-gather 2 --photons 1M": lambda n: ["--samples", str(n)],
                         "mlt --bootstrap 1M": METHODS["mlt"]},
-    "cornell-caustic": {"mlt --bootstrap 1M": METHODS["mlt"],
-                        "progressive, 2M + 4M photons in 128 rounds":
-                        lambda n: ["--rounds", str(n)] + photons(2e6 / 128, 4e6 / 128)(n)},
-    "caustic-ring": {"progressive, 1M + 16M photons in 128 rounds":
-                     lambda n: ["--rounds", str(n)] + photons(1e6 / 128, 16e6 / 128)(n)},
+    "cornell-caustic": {"mlt --bootstrap 1M": METHODS["mlt"]},
 }
 MITSUBA = {f"mitsuba {i} ({v.split('_')[0]})": (i, v) for v in ("llvm_ad_rgb", "scalar_rgb") for i in ("path", "ptracer")}
 LUXCORE = {"luxcore bidir": "bidir", "luxcore path + photongi": "photongi"}

@@ -12,11 +12,12 @@ use std::time::Duration;
 #[derive(Args, Clone, Copy, Debug)]
 #[command(next_help_heading = "Run")]
 pub(super) struct LimitArgs {
-    /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done
+    /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done. Without --samples,
+    /// --rounds, --photons or --mutations the job goes on until then
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     time_limit: Option<Duration>,
     /// Begin no further round once the pixels' error (noise, and the bias of rounds that are blurred) is this share of their value,
-    /// e.g. 1% or 0.01
+    /// e.g. 1% or 0.01; goes on until then as --time-limit does
     #[arg(long, value_name = "E", value_parser = parse_share)]
     target_error: Option<f32>,
 }
@@ -29,6 +30,11 @@ fn parse_share(text: &str) -> Result<f32, String> {
 }
 
 impl LimitArgs {
+    /// Whether there is a limit.
+    pub(super) fn is_given(self) -> bool {
+        self.time_limit.is_some() || self.target_error.is_some()
+    }
+
     /// The limits of a job by `method` that has several rounds, or not.
     ///
     /// # Errors

@@ -149,6 +149,15 @@ impl OptionArgs {
     pub(super) fn memory(&self) -> Option<u64> {
         self.rounds.memory
     }
+    /// Whether it is given how much `method` computes. Photons are those of all rounds together, so they say it, too.
+    pub(super) fn has_count(&self, method: Method) -> bool {
+        let counts: &[Setting] = match method {
+            Method::Mlt => &[Setting::Mutations],
+            m if m.has_rounds() => &[Setting::Rounds, Setting::Photons, Setting::CausticPhotons],
+            _ => &[Setting::Samples],
+        };
+        self.given().iter().any(|s| counts.contains(s))
+    }
     /// Whether the number of rounds is given.
     pub(super) fn has_rounds(&self) -> bool {
         self.rounds.rounds.is_some()

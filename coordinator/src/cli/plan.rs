@@ -34,7 +34,7 @@ pub(super) struct PlanArgs {
 }
 
 pub(super) fn run(args: &PlanArgs) -> CliResult {
-    let loaded = args.scene.load()?;
+    let loaded = args.scene.load(false)?;
     let preflight = Preflight::new(&loaded)?;
     let (bundle, settings) = (&loaded.bundle, &loaded.settings);
     preflight.report_warnings(args.strict)?;

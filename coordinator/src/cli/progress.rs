@@ -3,8 +3,9 @@
 
 use super::format::{bytes, count, duration};
 use super::{json, print_json, print_result};
-use crate::types::{JobProgress, JobState};
+use crate::types::{JobProgress, JobState, Limits};
 use clap::Args;
+use gatherlight_render::film::Noise;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 use std::io::IsTerminal;
@@ -88,6 +89,8 @@ pub(super) fn warn(text: &str) {
 /// Shows snapshots of one job.
 pub(super) struct JobView {
     style: Style,
+    /// What may end the job before all is done.
+    limits: Limits,
     /// The phase on show, its bar, and its last snapshot's figures.
     current: Option<(JobState, ProgressBar, Figures)>,
     /// What is on show is all rounds together.
@@ -104,10 +107,24 @@ const EVENT_INTERVAL: Duration = Duration::from_millis(250);
 /// Name of the bar over all rounds.
 const ROUNDS: &str = "rounds";
 
-/// `round 3 of 64`, where there are several.
+/// `round 3 of 64`, where there are several; `round 3` of a job that a limit is to end.
 pub(super) fn round(p: &JobProgress) -> Option<String> {
     let going = p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting;
-    going.then(|| format!("round {} of {}", u64::from(p.round) + 1, p.rounds))
+    let of = if p.rounds < ENDLESS_ROUNDS { format!(" of {}", p.rounds) } else { String::new() };
+    going.then(|| format!("round {}{of}", u64::from(p.round) + 1))
+}
+
+/// Rounds from which on they are not what is expected to end a job.
+const ENDLESS_ROUNDS: u32 = 1 << 15;
+
+/// The time until a limit ends the job, as far as can be told: noise falls with the root of the time.
+fn left_until_limit(elapsed: Duration, noise: Option<Noise>, limits: Limits) -> Option<Duration> {
+    let by_time = limits.time.map(|limit| limit.saturating_sub(elapsed));
+    let by_error = limits.error.zip(noise).and_then(|(target, noise)| {
+        let more = (noise.relative / f64::from(target)).powi(2) - 1.0;
+        Duration::try_from_secs_f64(elapsed.as_secs_f64() * more.max(0.0)).ok()
+    });
+    by_time.into_iter().chain(by_error).min()
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -116,12 +133,34 @@ struct Figures {
     total: u64,
     rate: f64,
     elapsed: Duration,
+    /// Until a limit ends the job.
+    left: Option<Duration>,
+}
+
+impl Figures {
+    /// The time left at the rate so far, or until a limit.
+    fn left(self) -> Option<Duration> {
+        let rest = self.total.saturating_sub(self.done) as f64 / self.rate;
+        let by_rate = if rest > 0.0 { Duration::try_from_secs_f64(rest).ok() } else { None };
+        by_rate.into_iter().chain(self.left).min()
+    }
+    /// Moves `bar` to the share that is done, of the work or of the time.
+    fn show_on(self, bar: &ProgressBar) {
+        let (position, length) = match (self.left, self.left()) {
+            (Some(limit), Some(left)) if limit == left => {
+                (self.elapsed.as_millis() as u64, (self.elapsed + left).as_millis() as u64)
+            }
+            _ => (self.done, self.total),
+        };
+        bar.set_length(length.max(1));
+        bar.set_position(position);
+    }
 }
 
 impl JobView {
     /// A view that has seen nothing yet.
-    pub(super) fn new(style: Style) -> Self {
-        JobView { style, current: None, in_rounds: false, told: None, waits_for: String::new() }
+    pub(super) fn new(style: Style, limits: Limits) -> Self {
+        JobView { style, limits, current: None, in_rounds: false, told: None, waits_for: String::new() }
     }
 
     /// Shows a snapshot.
@@ -157,9 +196,10 @@ impl JobView {
             self.current = Some((p.state.clone(), new_bar(self.style, &phase_name(&p.state)), Figures::default()));
         }
         if let Some((state, bar, figures)) = &mut self.current {
-            *figures = Figures { done: p.done, total: p.total, rate: p.rate, elapsed: p.state_elapsed };
-            bar.set_length(p.total.max(1));
-            bar.set_position(p.done);
+            let makes_image = matches!(p.state, JobState::Gather | JobState::Splat);
+            let left = left_until_limit(p.elapsed, p.stats.noise, self.limits).filter(|_| makes_image);
+            *figures = Figures { done: p.done, total: p.total, rate: p.rate, elapsed: p.state_elapsed, left };
+            figures.show_on(bar);
             bar.set_message(joined([running_text(Some(state), *figures, p.workers), noise_text(p)]));
         }
     }
@@ -188,9 +228,9 @@ impl JobView {
         let (done, total) = (u64::from(p.stats.rounds_done), u64::from(p.rounds));
         let seconds = p.elapsed.as_secs_f64();
         let rate = if done > 0 && seconds > 0.0 { done as f64 / seconds } else { 0.0 };
-        *figures = Figures { done, total, rate, elapsed: p.elapsed };
-        bar.set_length(total);
-        bar.set_position(done);
+        let left = left_until_limit(p.elapsed, p.stats.noise, self.limits);
+        *figures = Figures { done, total, rate, elapsed: p.elapsed, left };
+        figures.show_on(bar);
         let now = format!("{}, {}", round(p).unwrap_or_default(), phase_name(&p.state));
         bar.set_message(joined([now, running_text(None, *figures, p.workers), noise_text(p)]));
     }
@@ -247,11 +287,8 @@ fn running_text(state: Option<&JobState>, f: Figures, workers: u32) -> String {
         return "no worker has begun".into();
     }
     let mut text = if f.rate > 0.0 { format!("{}/s", units(state, f.rate)) } else { String::new() };
-    if f.rate > 0.0 && f.total > f.done {
-        let left = (f.total - f.done) as f64 / f.rate;
-        if let Ok(left) = Duration::try_from_secs_f64(left) {
-            text.push_str(&format!(", {} left", duration(left)));
-        }
+    if let Some(left) = f.left() {
+        text.push_str(&format!(", {} left", duration(left)));
     }
     if workers > 1 {
         text.push_str(&format!(", {workers} workers"));
@@ -285,15 +322,31 @@ mod tests {
     use gatherlight_render::photon::MapKind;
 
     #[test]
+    fn a_limit_tells_the_time_left() {
+        let (elapsed, noise) = (Duration::from_secs(10), Some(Noise { standard_error: 0.1, relative: 0.04 }));
+        let left =
+            |time, error| left_until_limit(elapsed, noise, Limits { time, error }).map(|d| d.as_secs_f64().round());
+        assert_eq!(left(None, None), None);
+        assert_eq!(left(Some(Duration::from_secs(70)), None), Some(60.0));
+        // Half the noise takes four times as long.
+        assert_eq!(left(Some(Duration::from_secs(70)), Some(0.02)), Some(30.0));
+        assert_eq!(left(Some(Duration::from_secs(70)), Some(0.01)), Some(60.0));
+        assert_eq!(left(Some(Duration::from_secs(5)), Some(0.05)), Some(0.0));
+    }
+
+    #[test]
     fn a_phase_states_its_rate_and_the_time_left() {
         let state = JobState::Emission(MapKind::Caustic);
-        let f = Figures { done: 250_000, total: 1_000_000, rate: 50_000.0, elapsed: Duration::from_secs(5) };
+        let f =
+            Figures { done: 250_000, total: 1_000_000, rate: 50_000.0, elapsed: Duration::from_secs(5), left: None };
         assert_eq!(running_text(Some(&state), f, 3), "50.0 k paths/s, 15.0 s left, 3 workers");
         assert_eq!(ended_text(Some(&state), f), "emission caustic 250 k paths in 5.00 s (50.0 k paths/s)");
         assert_eq!(running_text(Some(&JobState::Gather), Figures::default(), 1), "");
-        let f = Figures { done: 3, total: 64, rate: 0.5, elapsed: Duration::from_secs(6) };
+        let f = Figures { done: 3, total: 64, rate: 0.5, elapsed: Duration::from_secs(6), left: None };
         assert_eq!(running_text(None, f, 1), "0.50 rounds/s, 2 min 02 s left");
         assert_eq!(ended_text(None, f), "rounds           3 rounds in 6.00 s (0.50 rounds/s)");
+        let limited = Figures { left: Some(Duration::from_secs(2)), ..f };
+        assert_eq!(running_text(None, limited, 1), "0.50 rounds/s, 2.00 s left");
         let endless = Figures { rate: 1e-300, ..f };
         assert!(!running_text(Some(&state), endless, 1).contains("left"));
     }

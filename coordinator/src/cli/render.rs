@@ -54,7 +54,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
         return Err(CliError::Usage(format!("--threads: {} is outside 0 … {MAX_THREADS}", args.threads)));
     }
     let output = args.output.check()?;
-    let Loaded { bundle, settings, choice } = args.scene.load()?;
+    let Loaded { bundle, settings, choice } = args.scene.load(args.limits.is_given())?;
     let job = Arc::new(PreparedJob::prepare(&bundle, &settings)?);
     let preflight = Preflight::of(&job, &choice);
     preflight.report_warnings(args.strict)?;
@@ -62,7 +62,7 @@ pub(super) fn run(args: &RenderArgs) -> CliResult {
     args.messages.note(&preflight.text(false));
 
     let config = embedded::Config { threads: args.threads, limits, ..Default::default() };
-    let (mut view, mut timeline) = (JobView::new(args.messages.style()), Timeline::default());
+    let (mut view, mut timeline) = (JobView::new(args.messages.style(), limits), Timeline::default());
     let result = embedded::render_prepared(&bundle, job, &config, |p| {
         timeline.record(p);
         view.update(p);

@@ -36,11 +36,12 @@ pub(super) struct Loaded {
 }
 
 impl SceneArgs {
-    /// Reads the scene with every file it names, and checks the settings.
+    /// Reads the scene with every file it names, and checks the settings. Where a limit will end the job (`limited`), it has no other end
+    /// but one that is given.
     ///
     /// # Errors
     /// When a file cannot be read (with its path), or a setting makes no sense.
-    pub(super) fn load(&self) -> Result<Loaded, CliError> {
+    pub(super) fn load(&self, limited: bool) -> Result<Loaded, CliError> {
         let args = &self.settings;
         // Nonsense in the options is found before a large scene is read.
         args.check()?;
@@ -55,6 +56,7 @@ impl SceneArgs {
             let job = PreparedJob::prepare(&bundle, &settings)?;
             args.fit_memory(&mut settings, job.plan(), memory)?;
         }
+        let settings = if limited { args.open_ended(settings)? } else { settings };
         Ok(Loaded { bundle, settings, choice })
     }
 

@@ -155,6 +155,19 @@ impl SettingsArgs {
         layers
     }
 
+    /// `settings` without an end of their own, unless it is given how much is computed.
+    ///
+    /// # Errors
+    /// When that makes no sense.
+    pub(super) fn open_ended(&self, settings: RenderSettings) -> Result<RenderSettings, CliError> {
+        if self.options.has_count(settings.method) {
+            return Ok(settings);
+        }
+        let settings = settings.open_ended();
+        settings.validate()?;
+        Ok(settings)
+    }
+
     /// The bound on the memory of one round's photons, in bytes, if there is one.
     pub(super) fn memory(&self) -> Option<u64> {
         self.options.memory()

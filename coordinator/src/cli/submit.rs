@@ -56,7 +56,7 @@ pub(super) struct SubmitArgs {
 
 pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let output = args.output.check()?;
-    let loaded = args.scene.load()?;
+    let loaded = args.scene.load(args.limits.is_given())?;
     let preflight = Preflight::new(&loaded)?;
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
@@ -100,7 +100,7 @@ async fn submit(
         return Ok(());
     }
     let finish = async {
-        let (last, timeline) = follow(&client, id, args.messages).await?;
+        let (last, timeline) = follow(&client, id, request.limits, args.messages).await?;
         outcome(&last)?;
         let digest = fetch_to(client.clone(), id, &output).await?;
         Ok::<_, CliError>((last, timeline, digest))

@@ -7,7 +7,7 @@ use super::json;
 use super::progress::{JobView, MessageArgs};
 use crate::client::Client;
 use crate::report::timeline::Timeline;
-use crate::types::{JobId, JobProgress, JobState};
+use crate::types::{JobId, JobProgress, JobState, Limits};
 use clap::Args;
 use tokio_stream::StreamExt;
 
@@ -33,7 +33,7 @@ pub(super) struct WatchArgs {
 pub(super) fn run(args: &WatchArgs) -> CliResult {
     let (last, _) = args.connection.run(|client| async move {
         tokio::select! {
-            last = follow(&client, args.job, args.messages) => last,
+            last = follow(&client, args.job, Limits::default(), args.messages) => last,
             () = interrupted() => {
                 eprintln!("\njob {} goes on", args.job);
                 Err(CliError::Interrupted)
@@ -45,14 +45,15 @@ pub(super) fn run(args: &WatchArgs) -> CliResult {
     outcome(&last)
 }
 
-/// Shows the job's progress until it ends; its last snapshot and its course.
+/// Shows the progress of a job with these limits, as far as they are known, until it ends; its last snapshot and its course.
 pub(super) async fn follow(
     client: &Client,
     job: JobId,
+    limits: Limits,
     messages: MessageArgs,
 ) -> Result<(JobProgress, Timeline), CliError> {
     let mut snapshots = client.watch(job).await?;
-    let (mut view, mut timeline) = (JobView::new(messages.style()), Timeline::default());
+    let (mut view, mut timeline) = (JobView::new(messages.style(), limits), Timeline::default());
     let mut last = None;
     while let Some(snapshot) = snapshots.next().await {
         let snapshot = snapshot?;

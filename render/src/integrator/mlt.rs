@@ -13,6 +13,7 @@ use crate::film::light_image::Mutations;
 use crate::film::{Brightness, LightImage};
 use crate::material::TransportMode;
 use crate::math::primary::{Lane, PrimarySpace, Step};
+use crate::math::sobol::Sampler;
 use crate::math::{Numbers, Purpose, Rgb, Stream};
 use crate::photon::EmissionRange;
 use crate::scene::{Camera, Scene};
@@ -127,8 +128,10 @@ impl<'a> Mlt<'a> {
     fn chain(&self, bootstrap: &Bootstrap, chain: u64, light: &mut LightImage) {
         let settings = self.settings;
         let mut random = Stream::new(settings.seed, Purpose::Chain, 0, chain);
-        // Systematic resampling: one chain in each of as many equal shares of the bootstrap's luminance.
-        let u = (chain as f64 + f64::from(random.next_f32())) / f64::from(settings.chains);
+        // Stratified resampling: of any number of the first chains, one in each of about as many equal shares of the bootstrap's
+        // luminance. The second number fills the digits that the first does not have.
+        let share = Sampler::new(settings.seed, Purpose::Chain, 0, u64::MAX, chain).next_1d();
+        let u = f64::from(share) + f64::from(random.next_f32()) / f64::from(1 << 24);
         let Some(start) = bootstrap.sample(u) else { return };
         let mut space = self.start(start);
         let brightness = bootstrap.mean();

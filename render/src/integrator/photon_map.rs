@@ -80,6 +80,77 @@ pub fn gather_radius(settings: &RenderSettings, map: &PhotonMap, space: &SceneSp
     }
 }
 
+/// Most branchings of one camera sample.
+const MAX_SPLITS: u32 = 4;
+/// Least share of the camera sample's light that both branches carry where a path branches; where one has less, it is left to chance.
+const LEAST_BRANCH: f32 = 0.01;
+
+/// The branches of one camera sample. Where clear glass both reflects and transmits, both ways are followed: a lamp that is seen by the
+/// fainter of them would otherwise be found by few samples only, each of them bright (splitting, Arvo and Kirk 1990).
+struct RayTree {
+    /// Branches that are still to be followed, with their random numbers.
+    waiting: Vec<(CameraPath, Sampler)>,
+    /// How often it may branch yet.
+    splits: u32,
+}
+
+impl RayTree {
+    /// The two ways from a Dirac surface met by a path that carries `value`, if both are to be followed.
+    fn split(&mut self, bsdf: &Bsdf, wo: Vec3, value: Rgb) -> Option<[BsdfSample; 2]> {
+        if bsdf.lobes() != Lobes::SPECULAR || self.splits == 0 {
+            return None;
+        }
+        let mut ways = bsdf.dirac_samples(wo, TransportMode::Radiance).into_iter().flatten();
+        let (first, second, third) = (ways.next()?, ways.next()?, ways.next());
+        let is_bright = |s: &BsdfSample| (value * s.weight).max_component() >= LEAST_BRANCH;
+        let splits = third.is_none() && is_bright(&first) && is_bright(&second);
+        self.splits -= u32::from(splits);
+        splits.then_some([first, second])
+    }
+}
+
+/// A branch of a camera path, on its way to its next surface.
+struct CameraPath {
+    ray: Ray,
+    /// Share of the camera sample's light that its first ray carries.
+    share: Rgb,
+    /// What is left of that; roulette goes by it alone.
+    throughput: Rgb,
+    interior: Interior,
+    /// Where the ray comes from, and the pdf of the scattering there; infinite where next-event estimation could not find the light.
+    from: Vec3,
+    pdf: f32,
+    bounce: u32,
+}
+
+impl CameraPath {
+    fn new(ray: Ray) -> Self {
+        let (from, interior) = (ray.origin, Interior::default());
+        CameraPath { ray, share: Rgb::WHITE, throughput: Rgb::WHITE, interior, from, pdf: f32::INFINITY, bounce: 0 }
+    }
+    fn is_camera_ray(&self) -> bool {
+        self.bounce == 0
+    }
+    fn value(&self) -> Rgb {
+        self.share * self.throughput
+    }
+    /// Goes on in the direction `s`, whose weight is in the throughput.
+    fn leave(&mut self, scene: &Scene, v: &Vertex<'_>, s: &BsdfSample) {
+        (self.from, self.pdf) = (v.point.position, if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf });
+        if s.transmitted {
+            self.interior = self.interior.crossed(scene, v.point, s.wi);
+        }
+        self.ray = Ray::new(v.point.spawn(s.wi), s.wi);
+        self.bounce += 1;
+    }
+    /// The branch in the direction `s`.
+    fn branch(&self, scene: &Scene, v: &Vertex<'_>, s: &BsdfSample) -> CameraPath {
+        let mut branch = CameraPath { share: self.value() * s.weight, throughput: Rgb::WHITE, ..*self };
+        branch.leave(scene, v, s);
+        branch
+    }
+}
+
 /// A vertex where light is gathered.
 struct Vertex<'v> {
     point: &'v SurfacePoint,
@@ -91,42 +162,49 @@ struct Vertex<'v> {
 impl PhotonGather<'_> {
     /// Radiance along `camera_ray`.
     pub fn trace(&mut self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
-        let scene = self.scene;
-        let mut sample = Sample::default();
-        let mut ray = camera_ray;
-        let mut throughput = Rgb::WHITE;
-        let mut interior = Interior::default();
-        // pdf of the last glossy scattering; infinite where next-event estimation could not find the light.
-        let (mut from, mut pdf) = (ray.origin, f32::INFINITY);
-        for bounce in 0.. {
-            sample.rays += 1;
-            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { break };
-            let wo = -ray.direction;
-            throughput *= interior.transmittance_to(scene, &point, wo, distance);
-            let emission = scene.emission(&point, wo);
-            if !emission.is_black() {
-                let weight =
-                    if pdf == f32::INFINITY { 1.0 } else { self.hit_weight(pdf, from, &ray, distance, &point) };
-                sample.add(Part::Direct, throughput * emission * weight);
-            }
-            let bsdf = scene.bsdf(&point);
-            if bounce == 0 {
-                sample.first = Some(first_hit(&point, &bsdf, wo));
-            }
-            let vertex = Vertex { point: &point, bsdf: &bsdf, wo, interior };
-            self.direct_light(&vertex, throughput, sampler, &mut sample);
-            if bsdf.lobes().intersects(Lobes::DIFFUSE) {
-                self.diffuse_light(&vertex, throughput, sampler, &mut sample);
-            }
-            let u = sampler.next_3d();
-            let Some(s) = self.continue_path(&bsdf, wo, u, &mut throughput, bounce, sampler) else { break };
-            (from, pdf) = (point.position, if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf });
-            if s.transmitted {
-                interior = interior.crossed(scene, &point, s.wi);
-            }
-            ray = Ray::new(point.spawn(s.wi), s.wi);
+        let (mut sample, mut tree) = (Sample::default(), RayTree { waiting: Vec::new(), splits: MAX_SPLITS });
+        self.follow(CameraPath::new(camera_ray), sampler, &mut tree, &mut sample);
+        while let Some((path, mut sampler)) = tree.waiting.pop() {
+            self.follow(path, &mut sampler, &mut tree, &mut sample);
         }
         sample
+    }
+
+    /// Follows one branch of a camera path to its end.
+    fn follow(&mut self, mut path: CameraPath, sampler: &mut Sampler, tree: &mut RayTree, sample: &mut Sample) {
+        let scene = self.scene;
+        loop {
+            sample.rays += 1;
+            let Some((point, distance)) = scene.intersect_with_distance(&path.ray) else { return };
+            let wo = -path.ray.direction;
+            path.throughput *= path.interior.transmittance_to(scene, &point, wo, distance);
+            let emission = scene.emission(&point, wo);
+            if !emission.is_black() {
+                let weight = if path.pdf == f32::INFINITY {
+                    1.0
+                } else {
+                    self.hit_weight(path.pdf, path.from, &path.ray, distance, &point)
+                };
+                sample.add(Part::Direct, path.value() * emission * weight);
+            }
+            let bsdf = scene.bsdf(&point);
+            if path.is_camera_ray() {
+                sample.first = Some(first_hit(&point, &bsdf, wo));
+            }
+            let vertex = Vertex { point: &point, bsdf: &bsdf, wo, interior: path.interior };
+            self.direct_light(&vertex, path.value(), sampler, sample);
+            if bsdf.lobes().intersects(Lobes::DIFFUSE) {
+                self.diffuse_light(&vertex, path.value(), sampler, sample);
+            }
+            if let Some([first, second]) = tree.split(&bsdf, wo, path.value()) {
+                tree.waiting.push((path.branch(scene, &vertex, &second), sampler.branch(0, 1)));
+                path = path.branch(scene, &vertex, &first);
+                continue;
+            }
+            let u = sampler.next_3d();
+            let Some(s) = self.continue_path(&bsdf, wo, u, &mut path.throughput, path.bounce, sampler) else { return };
+            path.leave(scene, &vertex, &s);
+        }
     }
 
     /// Follows a specular or glossy lobe, with roulette; `throughput` is updated.

@@ -84,11 +84,15 @@ impl<'a> Round<'a> {
     }
 }
 
+/// Light vertices within the first round's radius. Merging is one technique of several, and its blur has nothing to hide it: fewer than
+/// photon mapping has of indirect light.
+const FIRST_ROUND_VERTICES: f32 = 10.0;
+
 /// The first round's merge radius, scene units, where none is given: as of progressive photon mapping, from the density of a
 /// pilot's light vertices and the width of a `pixel` on the surfaces that are seen (see [`first_radius`]).
 pub fn choose_first_radius(round: &Round, pilot: EmissionRange, pixel: f32) -> (usize, f32) {
     let map = PhotonMap::build(MapKind::Global, round.emit(pilot));
-    (map.stored_count(), first_radius(&map, round.paths, pixel))
+    (map.stored_count(), first_radius(&map, round.paths, pixel, FIRST_ROUND_VERTICES))
 }
 
 /// Stores a light vertex.

@@ -29,6 +29,15 @@ impl Kernel {
         }
     }
 
+    /// Mean of distance² over radius², weighted by the kernel: what the blur of smooth light is in proportion to (Silverman 1986, §4.2).
+    pub fn second_moment(self) -> f32 {
+        match self {
+            Kernel::Constant => 1.0 / 2.0,
+            Kernel::Cone => 3.0 / 10.0,
+            Kernel::Epanechnikov => 1.0 / 3.0,
+        }
+    }
+
     /// The kernel's shape, 1 at the centre, at squared distance / squared radius = `t` ≥ 0.
     #[inline(always)]
     pub fn shape(self, t: f32) -> f32 {
@@ -61,6 +70,17 @@ mod tests {
                 let integral = sum / f64::from(n) * std::f64::consts::PI * radius * radius;
                 assert!((integral - 1.0).abs() < 1e-5, "{kernel:?} {radius} {integral}");
             }
+        }
+    }
+
+    #[test]
+    fn second_moments_are_those_of_the_weights() {
+        for kernel in ALL {
+            let n = 100_000;
+            let ring = |i: i32| (f64::from(i) + 0.5) / f64::from(n);
+            let sum: f64 = (0..n).map(|i| ring(i) * f64::from(kernel.weight(ring(i) as f32, 1.0))).sum();
+            let moment = sum / f64::from(n) * std::f64::consts::PI;
+            assert!((moment - f64::from(kernel.second_moment())).abs() < 1e-4, "{kernel:?} {moment}");
         }
     }
 
