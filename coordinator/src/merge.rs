@@ -5,8 +5,9 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::MAX_MAP_BYTES;
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
-use gatherlight_proto::payload::bootstrap;
 use gatherlight_proto::payload::map::encode_map;
+use gatherlight_proto::payload::{bootstrap, sample_map};
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::photon::merge::Merger;
@@ -70,6 +71,23 @@ pub(crate) fn build_bootstrap(
     }
     let bytes = sized("the bootstrap", &encoded, "trace fewer bootstrap paths")?;
     Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes }), bytes: encoded, made })
+}
+
+/// Hands the sample map, which the closed rounds have made, to `sink`, or encodes it.
+///
+/// # Errors
+/// When the rounds have made none.
+pub(crate) fn build_sample_map(map: Option<Arc<SampleMap>>, sink: Option<&dyn Sink>) -> Result<Built, String> {
+    let map = map.ok_or("the closed rounds have not decided where the samples go")?;
+    let encoded = sample_map::encode(&map);
+    let digest = Digest::of(&encoded);
+    if let Some(sink) = sink {
+        sink.offer_sample_map(digest, map);
+        let input = InputRef::SampleMap(BlobRef { digest, bytes: 0 });
+        return Ok(Built { input, bytes: Bytes::new(), made: Made::SampleMap });
+    }
+    let bytes = sized("the sample map", &encoded, "render fewer pixels")?;
+    Ok(Built { input: InputRef::SampleMap(BlobRef { digest, bytes }), bytes: encoded, made: Made::SampleMap })
 }
 
 /// The length of `encoded`, if it may be sent.

@@ -32,6 +32,8 @@ pub enum InputRef {
     Map(MapRef),
     /// The joined bootstrap.
     Bootstrap(BlobRef),
+    /// Where the samples go.
+    SampleMap(BlobRef),
 }
 
 /// What to do with a lease's indices.
@@ -59,6 +61,8 @@ pub enum Task {
         round: u32,
         /// The maps they read.
         maps: Vec<MapRef>,
+        /// How many samples each pixel takes, where they are not all alike.
+        sample_map: Option<BlobRef>,
     },
 }
 

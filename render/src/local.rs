@@ -34,6 +34,10 @@ pub fn run(job: &PreparedJob, mut goes_on: impl FnMut(&Accumulator) -> bool) -> 
                 inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
                 continue;
             }
+            Phase::SampleMap { .. } => {
+                inputs.sample_map = run.film.sample_map().cloned();
+                continue;
+            }
             Phase::Splat { round, units } => {
                 let mut light = job.light_image();
                 if let Some(light) = &mut light {

@@ -177,7 +177,7 @@ pub struct Delivery {
 pub enum Source {
     /// The store has it.
     Blob(Digest),
-    /// A photon map or a bootstrap in memory; add to the counter what is sent of it.
+    /// A photon map, a bootstrap or a sample map in memory; add to the counter what is sent of it.
     Memory {
         /// All of it, shared.
         bytes: Bytes,
@@ -203,6 +203,7 @@ pub(crate) enum Made {
         gather_radius: f32,
     },
     Bootstrap(Arc<Bootstrap>),
+    SampleMap,
 }
 
 /// A finished image.

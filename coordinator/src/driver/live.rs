@@ -12,7 +12,7 @@ use crate::types::JobStats;
 use bytes::Bytes;
 use gatherlight_proto::message::InputRef;
 use gatherlight_proto::{Digest, WireError};
-use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, Tile};
+use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, SampleMap, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -27,7 +27,7 @@ struct Served {
     digest: Digest,
     bytes: Bytes,
     sent: Arc<AtomicU64>,
-    /// A bootstrap is read in all rounds.
+    /// A bootstrap is read in all rounds, a sample map in all to come.
     retires: bool,
 }
 
@@ -217,6 +217,10 @@ impl Live {
     pub(super) fn take_luminances(&mut self) -> BTreeMap<u64, Vec<f32>> {
         std::mem::take(&mut self.luminances)
     }
+    /// Where the samples of the rounds to come go, by those that are closed.
+    pub(super) fn sample_map(&self) -> Option<Arc<SampleMap>> {
+        if let FilmState::Here(film) = &self.film { film.sample_map().cloned() } else { None }
+    }
     /// Where workers in this process find what they read.
     pub(super) fn sink(&self) -> Option<Arc<dyn Sink>> {
         self.sink.clone()
@@ -226,7 +230,7 @@ impl Live {
         let Built { input, bytes, made } = built;
         let (digest, retires) = match input {
             InputRef::Map(map) => (map.digest, true),
-            InputRef::Bootstrap(blob) => (blob.digest, false),
+            InputRef::Bootstrap(blob) | InputRef::SampleMap(blob) => (blob.digest, false),
         };
         if let Made::Bootstrap(bootstrap) = made {
             self.bootstrap = Some(bootstrap);
@@ -359,6 +363,9 @@ mod tests {
             self.0.lock().unwrap().push(digest);
         }
         fn offer_bootstrap(&self, digest: Digest, _: Arc<Bootstrap>) {
+            self.0.lock().unwrap().push(digest);
+        }
+        fn offer_sample_map(&self, digest: Digest, _: Arc<SampleMap>) {
             self.0.lock().unwrap().push(digest);
         }
         fn withdraw(&self, digest: Digest) {
