@@ -54,8 +54,8 @@ pub struct Config {
 struct InProcess(Shared);
 
 impl Sink for InProcess {
-    fn offer_map(&self, digest: Digest, map: PhotonMap) {
-        self.0.offer_map(digest, Arc::new(map));
+    fn offer_map(&self, digest: Digest, map: Arc<PhotonMap>) {
+        self.0.offer_map(digest, map);
     }
     fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>) {
         self.0.offer_bootstrap(digest, bootstrap);

@@ -27,8 +27,8 @@ pub(crate) fn build_map(
     sink: Option<&dyn Sink>,
 ) -> Result<Built, String> {
     let merged = merger.finish().map_err(|e| e.to_string())?;
-    let map = prepared.build_map(kind, merged);
-    let made = Made::Map { gather_radius: prepared.gather_radius(&map) };
+    let map = Arc::new(prepared.build_map(kind, merged));
+    let made = Made::Map { gather_radius: prepared.gather_radius(&map), error: prepared.map_error(&map) };
     if let Some(sink) = sink {
         let digest = Digest(map.digest());
         sink.offer_map(digest, map);

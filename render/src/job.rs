@@ -4,16 +4,16 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{Accumulator, ChannelSet, LightImage, SampleMap, Tile, TileGrid};
+use crate::film::{Accumulator, ChannelSet, LightImage, MapError, SampleMap, Tile, TileGrid};
 use crate::import::{self, SceneBundle, Wanted};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
-use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::photon_map::{self, GatherSettings, PhotonGather, Whole};
 use crate::integrator::radius::blur_of_rounds;
 use crate::integrator::tile::Samples;
 use crate::integrator::vcm::{self, Vcm};
 use crate::integrator::whitted::Whitted;
-use crate::integrator::{Bootstrap, path, progressive, tile};
+use crate::integrator::{Bootstrap, map_error, path, progressive, tile};
 use crate::math::Rgb;
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
@@ -384,6 +384,17 @@ impl PreparedJob {
         PhotonMap::build(kind, merged)
     }
 
+    /// The error that `map` brings into the image, in parallel on the current rayon pool; `None` where each round has maps of its own,
+    /// so that their differences tell it.
+    pub fn map_error(&self, map: &Arc<PhotonMap>) -> Option<MapError> {
+        let measure = || {
+            let mut maps = PhotonMaps::default();
+            maps.insert(map.clone());
+            map_error::measure(&self.scene, &self.camera, &self.settings, &maps)
+        };
+        (self.settings.method == Method::Photon && self.rounds() > 1).then(measure)
+    }
+
     /// Largest radius `map` is searched with, in world units: given, or chosen from the map's density.
     pub fn gather_radius(&self, map: &PhotonMap) -> f32 {
         let space = &self.scene.space;
@@ -430,7 +441,8 @@ impl PreparedJob {
             }
             Method::Photon | Method::Progressive => {
                 let gather = self.gather_settings(maps, round);
-                let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
+                let mut pass =
+                    PhotonGather { scene, maps, settings: gather, reading: Whole, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
                     pass.trace(ray, sampler)
                 })

@@ -458,11 +458,11 @@ impl RenderSettings {
         std::iter::successors(next(0), move |b| next(b.first + b.len))
     }
 
-    /// Rounds whose samples decide where those of the others go, where that is wanted: an eighth of all samples, but not so
+    /// Rounds whose samples decide where those of the others go, where that is wanted: a quarter of all samples, but not so
     /// few that they say nothing, nor so many that it comes late.
     pub fn pilot_rounds(&self) -> Option<u32> {
         const SAMPLES: [u32; 2] = [8, 64];
-        let wanted = (self.samples / 8).clamp(SAMPLES[0], SAMPLES[1]);
+        let wanted = (self.samples / 4).clamp(SAMPLES[0], SAMPLES[1]);
         let before = self.blocks().take_while(|b| b.first < wanted).count() as u32;
         self.adaptive.then_some(before)
     }

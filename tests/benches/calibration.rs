@@ -28,20 +28,6 @@ fn settings(method: Method, height: u32) -> RenderSettings {
     }
 }
 
-/// Height and values of the reference, as means of blocks of its pixels.
-fn truth(name: &str) -> (u32, Vec<f64>) {
-    let (width, height, pixels) = references::image(name);
-    let factor = width / WIDTH;
-    let mut sums = vec![0.0; (WIDTH * (height / factor) * 3) as usize];
-    for (i, pixel) in pixels.iter().enumerate() {
-        let (x, y) = (i as u32 % width / factor, i as u32 / width / factor);
-        for (c, v) in pixel.to_array().into_iter().enumerate() {
-            sums[((y * WIDTH + x) * 3) as usize + c] += f64::from(v) / f64::from(factor * factor);
-        }
-    }
-    (height / factor, sums)
-}
-
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     // `cargo test --benches` would run it too.
@@ -56,7 +42,7 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|");
     for name in SCENES.into_iter().filter(|n| wanted(n)) {
-        let (height, truth) = truth(name);
+        let (_, height, truth) = references::reduced(name, WIDTH);
         for method in Method::ALL {
             let reference = method.is_consistent().then_some(&truth[..]);
             let c = calibrate(&scene(&format!("{name}.glb")), &settings(method, height), seeds, reference);

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, ToWorker, WorkerId};
 use gatherlight_render::export::ImageMetadata;
-use gatherlight_render::film::{Film, LightImage, Tile};
+use gatherlight_render::film::{Film, LightImage, MapError, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
@@ -201,6 +201,8 @@ pub(crate) enum Made {
     Map {
         /// Largest gather radius the map is searched with, in world units.
         gather_radius: f32,
+        /// What it makes wrong in the image, where no later map makes up for it.
+        error: Option<MapError>,
     },
     Bootstrap(Arc<Bootstrap>),
     SampleMap,

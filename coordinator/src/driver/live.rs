@@ -12,7 +12,7 @@ use crate::types::JobStats;
 use bytes::Bytes;
 use gatherlight_proto::message::InputRef;
 use gatherlight_proto::{Digest, WireError};
-use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, SampleMap, Tile};
+use gatherlight_render::film::{Accumulator, Bias, LightImage, MapError, Noise, SampleMap, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -65,6 +65,8 @@ pub(super) struct Live {
     luminances: BTreeMap<u64, Vec<f32>>,
     bootstrap: Option<Arc<Bootstrap>>,
     film: FilmState,
+    /// Of maps that all rounds read, until there is a film.
+    map_errors: Vec<MapError>,
     /// Results of rounds after the one in the making, or while that is being closed.
     early: BTreeMap<u32, Vec<(Vec<Tile>, Option<LightImage>)>>,
     light: Option<LightParts>,
@@ -91,6 +93,7 @@ impl Live {
             luminances: BTreeMap::new(),
             bootstrap: None,
             film: FilmState::Empty,
+            map_errors: Vec::new(),
             early: BTreeMap::new(),
             light,
             served: Vec::new(),
@@ -150,7 +153,10 @@ impl Live {
     }
     fn add_to_round(&mut self, round: u32, tiles: Vec<Tile>, light: Option<LightImage>) -> Result<(), String> {
         if matches!(self.film, FilmState::Empty) {
-            self.film = FilmState::Here(Box::new(self.prepared.accumulator()));
+            // Maps that all rounds read are there before any tile.
+            let mut film = Box::new(self.prepared.accumulator());
+            self.map_errors.drain(..).for_each(|error| film.add_map_error(Some(error)));
+            self.film = FilmState::Here(film);
         }
         match &mut self.film {
             FilmState::Here(film) if film.closed_rounds() == round => {
@@ -232,8 +238,10 @@ impl Live {
             InputRef::Map(map) => (map.digest, true),
             InputRef::Bootstrap(blob) | InputRef::SampleMap(blob) => (blob.digest, false),
         };
-        if let Made::Bootstrap(bootstrap) = made {
-            self.bootstrap = Some(bootstrap);
+        match made {
+            Made::Bootstrap(bootstrap) => self.bootstrap = Some(bootstrap),
+            Made::Map { error: Some(error), .. } => self.map_errors.push(error),
+            Made::Map { error: None, .. } | Made::SampleMap => {}
         }
         self.served.push(Served { round, digest, bytes, sent: Arc::default(), retires });
     }
@@ -359,7 +367,7 @@ mod tests {
     struct Offers(Mutex<Vec<Digest>>);
 
     impl Sink for Offers {
-        fn offer_map(&self, digest: Digest, _: PhotonMap) {
+        fn offer_map(&self, digest: Digest, _: Arc<PhotonMap>) {
             self.0.lock().unwrap().push(digest);
         }
         fn offer_bootstrap(&self, digest: Digest, _: Arc<Bootstrap>) {
@@ -405,11 +413,11 @@ mod tests {
             assert!(merger.is_complete());
             // Every third round has the map of the one before, byte for byte.
             let digest = Digest([(round - u32::from(round % 3 == 2)) as u8; 32]);
-            offers.offer_map(digest, empty_map());
+            offers.offer_map(digest, Arc::new(empty_map()));
             let input = InputRef::Map(MapRef { kind: MapKind::Global, digest, bytes: 0 });
             live.serve(
                 round,
-                Built { input, bytes: Bytes::from_static(b"map"), made: Made::Map { gather_radius: 1.0 } },
+                Built { input, bytes: Bytes::from_static(b"map"), made: Made::Map { gather_radius: 1.0, error: None } },
             );
             let Some(Source::Memory { bytes, sent }) = live.source(digest) else { panic!("is not served") };
             sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);

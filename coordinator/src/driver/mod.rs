@@ -55,7 +55,7 @@ pub enum KeepImage {
 /// Takes what workers of this process read, under the digest that leases name.
 pub trait Sink: Send + Sync {
     /// A photon map.
-    fn offer_map(&self, digest: Digest, map: PhotonMap);
+    fn offer_map(&self, digest: Digest, map: Arc<PhotonMap>);
     /// A bootstrap.
     fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>);
     /// Offers a sample map.

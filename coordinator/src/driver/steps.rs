@@ -53,7 +53,7 @@ impl Driver {
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         };
         let (input, round) = (built.input, phase.round());
-        let gather_radius = if let Made::Map { gather_radius } = built.made { gather_radius } else { 0.0 };
+        let gather_radius = if let Made::Map { gather_radius, .. } = built.made { gather_radius } else { 0.0 };
         self.note_input(id, phase, gather_radius, built.bytes.clone());
         let Some(job) = self.jobs.get_mut(&id) else { return };
         if let InputRef::Map(map) = input {

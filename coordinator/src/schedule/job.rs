@@ -290,9 +290,7 @@ impl Job {
             Phase::Emission { round, map, .. } => Task::Emission { round, map },
             Phase::Bootstrap { .. } => Task::Bootstrap,
             Phase::Splat { round, .. } => Task::Splat { round, bootstrap: self.bootstrap },
-            Phase::Gather { round, .. } => {
-                Task::Gather { round, maps: self.maps(round), sample_map: self.sample_map }
-            }
+            Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round), sample_map: self.sample_map },
             // Nothing for workers to do.
             Phase::SampleMap { .. } => return None,
         })
@@ -343,7 +341,9 @@ impl Job {
                         return Next::Build(phase);
                     }
                 }
-                Phase::Splat { .. } | Phase::Gather { .. } | Phase::SampleMap { .. } => step.stage = Stage::Complete(None),
+                Phase::Splat { .. } | Phase::Gather { .. } | Phase::SampleMap { .. } => {
+                    step.stage = Stage::Complete(None)
+                }
             }
         }
         self.end_round(now)

@@ -1,9 +1,12 @@
 //! The film in the making: the tiles and the light images of all rounds become one film, and its noise is known.
 
+mod pixels;
+
 use super::light_image::Mutations;
 use super::sample_map::{Pilot, SampleMap};
-use super::{Bias, Blur, ChannelSet, Film, LightImage, Tile, TileError, TileGrid};
+use super::{Bias, Blur, ChannelSet, Film, LightImage, MapError, Tile, TileError, TileGrid};
 use crate::settings::Layer;
+use pixels::{Counts, add_light, add_pixel, between, mean_pixel, median_around};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -25,6 +28,8 @@ pub struct Accumulator {
     closed: u32,
     /// Follows the blur of the rounds, where they have any.
     blur: Option<Blur>,
+    /// Of maps that all rounds read.
+    map_errors: Vec<MapError>,
     brightness: Brightness,
     /// Of all closed rounds.
     mutations: Mutations,
@@ -65,18 +70,6 @@ struct Sums {
     last: [u64; 2],
     /// Of all rounds, Σ w x² of the colour, for the variance of the samples; empty where nobody asks.
     of_rounds: Vec<f64>,
-}
-
-/// How many samples each pixel has.
-#[derive(Clone, Copy)]
-struct Counts<'a>(Option<&'a SampleMap>);
-
-impl Counts<'_> {
-    /// Those of pixel `i` when there are `even` of each, were all pixels alike.
-    #[inline]
-    fn at(self, i: usize, even: u64) -> f64 {
-        self.0.map_or(even, |map| map.samples(i, even)) as f64
-    }
 }
 
 /// What all pixels of an image are multiplied with, and how well it is known.
@@ -137,6 +130,7 @@ impl Accumulator {
             blocks,
             closed: 0,
             blur: None,
+            map_errors: Vec::new(),
             brightness,
             mutations,
             standard_error: false,
@@ -153,15 +147,17 @@ impl Accumulator {
         Accumulator { blur: Some(Blur::new(pixels, widths)), ..self }
     }
     /// After so many rounds it is decided where the samples of the others go: [`Accumulator::sample_map`].
-    pub fn with_pilot(mut self, rounds: u32) -> Self {
-        if let Some(sums) = self.sums.as_mut().filter(|s| s.of_rounds.is_empty()) {
-            sums.of_rounds = vec![0.0; sums.squares.len()];
-        }
+    pub fn with_pilot(self, rounds: u32) -> Self {
         Accumulator { pilot: Some(rounds), ..self }
     }
     /// Its film will have the layer [`Layer::StandardError`].
     pub fn with_standard_error(self) -> Self {
         Accumulator { standard_error: true, ..self }
+    }
+
+    /// Takes note of the error of a map that all rounds read.
+    pub fn add_map_error(&mut self, error: Option<MapError>) {
+        self.map_errors.extend(error);
     }
 
     /// Adds a tile of the round in the making.
@@ -297,14 +293,16 @@ impl Accumulator {
         }
     }
 
-    /// Where the samples of the rounds to come go, by what the closed ones differ.
+    /// Where the samples of the rounds to come go, by what the closed ones differ: as for the noise by few large blocks, in which the
+    /// samples are as well stratified as may be.
     fn decide(&self) -> Option<SampleMap> {
         let (sums, n, closed) = (self.sums.as_ref()?, self.film.channels.len(), self.closed as usize);
-        let (samples, rounds) = (self.samples() as f64, f64::from(self.closed));
+        let samples = self.samples() as f64;
+        let degrees = (f64::from(sums.compared) - 1.0).max(1.0);
         let pixel = |i: usize| {
             [0, 1, 2].map(|c| {
                 let sum = sums.values[i * n + c];
-                [sum / samples, between(sums.of_rounds[i * 3 + c], sum, samples) / (rounds - 1.0).max(1.0)]
+                [sum / samples, between(sums.squares[i * 3 + c], sum, samples) / degrees]
             })
         };
         let pixels: Vec<_> = (0..sums.squares.len() / 3).into_par_iter().map(pixel).collect();
@@ -355,12 +353,29 @@ impl Accumulator {
 
     /// Whether its rounds are blurred, so that there is a bias.
     pub fn is_blurred(&self) -> bool {
-        self.blur.is_some()
+        self.blur.is_some() || !self.map_errors.is_empty()
     }
 
     /// The bias of the mean of the closed rounds, where they are blurred and there are enough.
     pub fn bias(&self) -> Option<Bias> {
-        self.blur.as_ref()?.bias(self.mean_value()?)
+        if let Some(blur) = &self.blur {
+            return blur.bias(self.mean_value()?);
+        }
+        let [_, [absolute, relative]] = self.map_roots(self.mean_value()?)?;
+        Some(Bias { absolute, relative })
+    }
+
+    /// Noise and bias, in radiance and relative, that maps bring into all rounds: of several the root of their sum of squares.
+    fn map_roots(&self, mean: f64) -> Option<[[f64; 2]; 2]> {
+        let (sums, samples, counts) = (self.sums.as_ref()?, self.samples(), self.counts());
+        let (n, size) = (self.film.channels.len(), [self.film.grid.width as usize, self.film.grid.height as usize]);
+        let value = |i: usize, c: usize| sums.values[i * n + c] / counts.at(i, samples);
+        let scale = |i: usize, c: usize| {
+            let near = median_around(|i| value(i, c), size, [i % size[0], i / size[0]]);
+            value(i, c).abs().max(near).max(mean)
+        };
+        let roots = self.map_errors.iter().map(|e| e.roots(scale));
+        roots.reduce(|a, b| [0, 1].map(|i| [0, 1].map(|j| root_of_squares(a[i][j], b[i][j]))))
     }
 
     /// The noise of the mean of the closed rounds, by what its blocks differ; `None` for fewer than two, or for
@@ -396,7 +411,9 @@ impl Accumulator {
         let total = rows.iter().fold([0.0; 2], |sum, r| [sum[0] + r[0], sum[1] + r[1]]);
         let count = (sums.squares.len() as f64).max(1.0);
         let [absolute, relative] = total.map(|sum| (sum / count).sqrt());
-        Some(Noise { standard_error: absolute * self.brightness.factor, relative })
+        let [of_maps, _] = self.map_roots(mean).unwrap_or_default();
+        let standard_error = root_of_squares(absolute, of_maps[0]) * self.brightness.factor;
+        Some(Noise { standard_error, relative: root_of_squares(relative, of_maps[1]) })
     }
 
     /// The film over the closed rounds: their mean, weighted by their samples, times the brightness; and the layers of the light
@@ -447,81 +464,9 @@ impl Accumulator {
     }
 }
 
-/// Layers that are means over hits: their sums are weighted by the share of hits, the alpha of the round.
-fn is_per_hit(layer: Layer) -> bool {
-    matches!(layer, Layer::Albedo | Layer::Normal | Layer::Depth | Layer::Position)
-}
-
-/// Σ w (x − m)² from Σ w x² and Σ w x, with Σ w = `samples`.
-fn between(squares: f64, values: f64, samples: f64) -> f64 {
-    (squares - values * values / samples).max(0.0)
-}
-
-/// The middle one of |value| in the 3 × 3 pixels around (x, y): what a pixel is worth when it is a lucky one.
-fn median_around(value: impl Fn(usize) -> f64, [width, height]: [usize; 2], [x, y]: [usize; 2]) -> f64 {
-    let mut near = [0.0f64; 9];
-    for (i, v) in near.iter_mut().enumerate() {
-        let (x, y) = ((x + i % 3).saturating_sub(1).min(width - 1), (y + i / 3).saturating_sub(1).min(height - 1));
-        *v = value(y * width + x).abs();
-    }
-    near.sort_unstable_by(f64::total_cmp);
-    near[4]
-}
-
-fn add_pixel(sum: &mut [f64], pixel: &[f32], weight: f64, channels: &ChannelSet) {
-    for (s, &v) in sum[..4].iter_mut().zip(pixel) {
-        *s += weight * f64::from(v);
-    }
-    let mut at = 4;
-    for &layer in channels.layers() {
-        let end = at + layer.width();
-        let weight = match layer {
-            // A pixel that hit nothing has an infinite depth, which counts nothing.
-            _ if is_per_hit(layer) => weight * f64::from(pixel[3]),
-            Layer::Variance => weight - 1.0,
-            Layer::Samples => 1.0,
-            _ => weight,
-        };
-        if weight > 0.0 {
-            sum[at..end].iter_mut().zip(&pixel[at..end]).for_each(|(s, &v)| *s += weight * f64::from(v));
-        }
-        at = end;
-    }
-}
-
-fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: &[f64], [samples, rounds]: [f64; 2], channels: &ChannelSet) {
-    let samples = samples.max(1.0);
-    for (p, s) in pixel[..4].iter_mut().zip(sum) {
-        *p = (s / samples) as f32;
-    }
-    let mut at = 4;
-    for &layer in channels.layers() {
-        let end = at + layer.width();
-        for (c, (p, s)) in pixel[at..end].iter_mut().zip(&sum[at..end]).enumerate() {
-            *p = match layer {
-                Layer::Depth if sum[3] == 0.0 => f32::INFINITY,
-                _ if is_per_hit(layer) => (s / if sum[3] > 0.0 { sum[3] } else { 1.0 }) as f32,
-                // Within rounds and between them (Chan et al. 1979).
-                Layer::Variance => {
-                    let between = if rounds > 1.0 { between(squares[c], sum[c], samples) } else { 0.0 };
-                    ((s + between) / (samples - 1.0).max(1.0)) as f32
-                }
-                Layer::Samples => *s as f32,
-                _ => (s / samples) as f32,
-            };
-        }
-        at = end;
-    }
-}
-
-fn add_light(film: &mut Film, light: &LightImage, scale: f64) {
-    let (width, n) = (film.grid.width, film.channels.len());
-    film.pixels.par_chunks_exact_mut(n).enumerate().for_each(|(i, pixel)| {
-        let value = light.value(0, i as u32 % width, i as u32 / width);
-        for (p, v) in pixel[..3].iter_mut().zip(value) {
-            *p = (f64::from(*p) + v * scale) as f32;
-        }
-    });
+/// Of errors that are independent of each other. No platform's `hypot`, whose last bit differs.
+fn root_of_squares(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
 }
 
 #[cfg(test)]

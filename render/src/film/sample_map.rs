@@ -15,7 +15,7 @@ const EVEN: u8 = 32;
 /// Fewest and most: a pixel whose neighbours look smooth may still hide something, and a few bright neighbours may be chance.
 const DENSITIES: [u8; 2] = [EVEN / 4, u8::MAX];
 /// Pixels on each side of a pixel, of the other colour, that decide for it.
-const REACH: usize = 2;
+const REACH: usize = 3;
 /// How much of the way from an even distribution to the best one for the pilot's errors is tried.
 const STEPS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 /// Share of the variance that has to be saved: less is as likely chance, and even numbers of samples are better stratified.
