@@ -1,6 +1,7 @@
 //! Whether the stated errors are true: the table of `docs/error.md`.
 //!
-//! `cargo bench --bench calibration -- [SEEDS] [SCENE …]`: relative errors, stated and real, of every method on each scene.
+//! `cargo bench --bench calibration -- [SEEDS] [SCENE …] [METHOD …]`: relative errors, stated and real, of every method on each scene, or
+//! of those named.
 
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::calibration::calibrate;
@@ -35,15 +36,18 @@ fn main() {
         return;
     }
     let seeds = arguments.first().and_then(|a| a.parse().ok()).unwrap_or(SEEDS);
-    let wanted = |name: &str| arguments.len() < 2 || arguments[1..].iter().any(|a| a == name);
+    let named: Vec<&str> = arguments.iter().skip(1).map(String::as_str).collect();
+    let is_method = |name: &&str| Method::ALL.iter().any(|m| m.name() == *name);
+    let (methods, scenes): (Vec<&str>, Vec<&str>) = named.into_iter().partition(is_method);
+    let wanted = |names: &[&str], name: &str| names.is_empty() || names.contains(&name);
     println!("{seeds} seeds, images {WIDTH} pixels wide; relative errors");
     println!(
         "| scene | method | coverage | noise, stated : real | stated noise | stated bias | real error | stated : real |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for name in SCENES.into_iter().filter(|n| wanted(n)) {
+    for name in SCENES.into_iter().filter(|n| wanted(&scenes, n)) {
         let (_, height, truth) = references::reduced(name, WIDTH);
-        for method in Method::ALL {
+        for method in Method::ALL.into_iter().filter(|m| wanted(&methods, m.name())) {
             let reference = method.is_consistent().then_some(&truth[..]);
             let c = calibrate(&scene(&format!("{name}.glb")), &settings(method, height), seeds, reference);
             let percent = |v: f64| format!("{:.2} %", 100.0 * v);
