@@ -37,7 +37,7 @@ pub fn run(job: &PreparedJob, mut goes_on: impl FnMut(&Accumulator) -> bool) -> 
                 continue;
             }
             Phase::SampleMap { .. } => {
-                inputs.sample_map = run.film.sample_map().cloned();
+                inputs.sample_map = run.film.sample_map().cloned().map(Arc::new);
                 continue;
             }
             Phase::Splat { round, units } => {

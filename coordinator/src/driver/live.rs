@@ -103,6 +103,10 @@ impl Live {
             prepared,
         }
     }
+    /// Its scene and settings.
+    pub(super) fn prepared(&self) -> &PreparedJob {
+        &self.prepared
+    }
     /// The sum of its light images, where it has one.
     pub(super) fn light_sum(&self) -> Option<Arc<LightSum>> {
         self.light.as_ref().map(|l| l.sum.clone())
@@ -193,14 +197,14 @@ impl Live {
         self.film = FilmState::Here(Box::new(restored));
         Ok((noise, bias))
     }
-    /// Phases before round `round` whose inputs it and later ones read: the bootstrap, and maps where no more are made.
+    /// Phases before round `round` whose inputs it and later ones read: bootstrap, sample map, and maps where no more are made.
     pub(super) fn kept_inputs(&self, round: u32) -> Vec<usize> {
         let is_emission = |p: &Phase| matches!(p, Phase::Emission { .. });
         let before = self.phases.iter().take_while(|p| p.round() < round).enumerate();
         let makes_own = self.phases.iter().any(|p| p.round() == round && is_emission(p));
         let latest = before.clone().filter(|(_, p)| is_emission(p)).map(|(_, p)| p.round()).max();
         let reads = |p: &Phase| match p {
-            Phase::Bootstrap { .. } => true,
+            Phase::Bootstrap { .. } | Phase::SampleMap { .. } => true,
             Phase::Emission { round, .. } => !makes_own && Some(*round) == latest,
             _ => false,
         };
@@ -225,7 +229,7 @@ impl Live {
     }
     /// Where the samples of the rounds to come go, by those that are closed.
     pub(super) fn sample_map(&self) -> Option<Arc<SampleMap>> {
-        if let FilmState::Here(film) = &self.film { film.sample_map().cloned() } else { None }
+        if let FilmState::Here(film) = &self.film { film.sample_map().cloned().map(Arc::new) } else { None }
     }
     /// Where workers in this process find what they read.
     pub(super) fn sink(&self) -> Option<Arc<dyn Sink>> {

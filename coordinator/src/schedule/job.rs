@@ -218,6 +218,7 @@ impl Job {
             match input {
                 InputRef::Map(map) => job.kept.push(map),
                 InputRef::Bootstrap(blob) => job.bootstrap = Some(blob),
+                InputRef::SampleMap(blob) => job.sample_map = Some(blob),
             }
         }
         job.saved = saved;
@@ -357,8 +358,10 @@ impl Job {
             }
             let (work, input) = self.saved.take(self.first + self.window.len(), phase);
             self.totals.entry(Kind::of(phase)).or_default().add(&work);
-            if let Some(InputRef::Bootstrap(blob)) = input {
-                self.bootstrap = Some(blob);
+            match input {
+                Some(InputRef::Bootstrap(blob)) => self.bootstrap = Some(blob),
+                Some(InputRef::SampleMap(blob)) => self.sample_map = Some(blob),
+                Some(InputRef::Map(_)) | None => {}
             }
             let stage = input.map_or(Stage::Working, |input| Stage::Complete(Some(input)));
             self.window.push_back(Step { work, stage });

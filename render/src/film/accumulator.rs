@@ -9,7 +9,6 @@ use crate::settings::Layer;
 use pixels::{Counts, add_light, add_pixel, between, mean_pixel, median_around};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 mod restart;
 
@@ -42,7 +41,7 @@ pub struct Accumulator {
     /// Rounds after which it is decided where the samples of the others go.
     pilot: Option<u32>,
     /// What was decided.
-    sample_map: Option<Arc<SampleMap>>,
+    sample_map: Option<SampleMap>,
 }
 
 /// Sums over rounds.
@@ -192,7 +191,7 @@ impl Accumulator {
         self.brightness = brightness;
     }
     /// Where the samples of the rounds after the pilot go, once that is closed.
-    pub fn sample_map(&self) -> Option<&Arc<SampleMap>> {
+    pub fn sample_map(&self) -> Option<&SampleMap> {
         self.sample_map.as_ref()
     }
     /// Camera samples a pixel (on average), chains or independent rounds of the closed rounds.
@@ -246,7 +245,7 @@ impl Accumulator {
         let ends_block = sums.block_rounds >= rounds_of_block;
         let joins = ends_block && sums.compared > 1 && sums.block_weight > sums.last_weight;
         let before_block = sums.last[1];
-        let counts = Counts(self.sample_map.as_deref());
+        let counts = Counts(self.sample_map.as_ref());
         let (channels, n) = (&self.film.channels, self.film.channels.len());
         let of_rounds = sums.of_rounds.par_chunks_exact_mut(3).zip(self.film.pixels.par_chunks(n));
         of_rounds.enumerate().for_each(|(i, (squares, pixel))| {
@@ -289,7 +288,7 @@ impl Accumulator {
         }
         self.film.empty();
         if self.pilot == Some(self.closed) {
-            self.sample_map = self.decide().map(Arc::new);
+            self.sample_map = self.decide();
         }
     }
 
@@ -332,7 +331,7 @@ impl Accumulator {
     }
 
     fn counts(&self) -> Counts<'_> {
-        Counts(self.sample_map.as_deref())
+        Counts(self.sample_map.as_ref())
     }
 
     /// Variance of the mean of channel `c` of pixel `i`, but for the brightness's factor; infinite where nothing can be compared.
@@ -397,10 +396,10 @@ impl Accumulator {
             for (x, c) in (0..size[0]).flat_map(|x| (0..3).map(move |c| (x, c))) {
                 let variance = self.variance_of_mean(sums, [y * size[0] + x, c]);
                 if variance > 0.0 {
-                    // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own
-                    // noise. Not all of the variance is taken off, so that a single pixel has no more than twice its value.
+                    // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own noise, and a
+                    // pixel that has only one is worth what those around it are.
                     let own = value(y * size[0] + x, c);
-                    let own = own * own - 0.75 * variance;
+                    let own = own * own - variance;
                     let near = median_around(|i| value(i, c), size, [x, y]);
                     total = [total[0] + variance, total[1] + variance / own.max(near * near).max(mean * mean)];
                 }
@@ -422,7 +421,7 @@ impl Accumulator {
         let (samples, rounds) = (self.samples(), f64::from(self.closed));
         let errors = self.standard_error.then(|| self.standard_errors());
         if let Some(sums) = self.sums.take() {
-            let (n, counts) = (self.film.channels.len(), Counts(self.sample_map.as_deref()));
+            let (n, counts) = (self.film.channels.len(), Counts(self.sample_map.as_ref()));
             let channels = self.film.channels.clone();
             let pixels = self.film.pixels.par_chunks_mut(n).zip(sums.values.par_chunks(n));
             let squares = &sums.of_rounds;

@@ -1,7 +1,9 @@
 //! What is known of the error that a photon map brings into an image, at some of its pixels.
 
+use serde::{Deserialize, Serialize};
+
 /// Products of independent measurements at some pixels: single ones may be negative, their mean is the mean square of an error.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapError {
     /// The pixels, row by row.
     pub pixels: Vec<u32>,

@@ -8,6 +8,7 @@
 //! samples is therefore a constant, and the mean of its samples is what it is without this.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Samples per sample of an even distribution are counted in this many parts.
@@ -22,7 +23,7 @@ const STEPS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 const LEAST_GAIN: f64 = 0.1;
 
 /// How many camera samples each pixel takes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SampleMap {
     /// Samples that every pixel takes first.
     pilot: u32,
