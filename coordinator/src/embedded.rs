@@ -16,6 +16,7 @@ use crate::types::{JobId, JobProgress, JobResult, JobState, Limits};
 use gatherlight_proto::Digest;
 use gatherlight_proto::connect::tuned;
 use gatherlight_proto::limits::HEARTBEAT;
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{PhotonMap, PreparedJob};
@@ -57,11 +58,14 @@ pub struct Config {
 struct InProcess(Shared);
 
 impl Sink for InProcess {
-    fn offer_map(&self, digest: Digest, map: PhotonMap) {
-        self.0.offer_map(digest, Arc::new(map));
+    fn offer_map(&self, digest: Digest, map: Arc<PhotonMap>) {
+        self.0.offer_map(digest, map);
     }
     fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>) {
         self.0.offer_bootstrap(digest, bootstrap);
+    }
+    fn offer_sample_map(&self, digest: Digest, map: Arc<SampleMap>) {
+        self.0.offer_sample_map(digest, map);
     }
     fn withdraw(&self, digest: Digest) {
         self.0.withdraw(digest);

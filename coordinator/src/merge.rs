@@ -5,9 +5,10 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::MAX_MAP_BYTES;
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
-use gatherlight_proto::payload::bootstrap;
 use gatherlight_proto::payload::map::encode_map;
+use gatherlight_proto::payload::{bootstrap, sample_map};
 use gatherlight_proto::pieces::Pieces;
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::PreparedJob;
 use gatherlight_render::photon::merge::Merger;
@@ -27,8 +28,8 @@ pub(crate) fn build_map(
     sink: Option<&dyn Sink>,
 ) -> Result<Built, String> {
     let merged = merger.finish().map_err(|e| e.to_string())?;
-    let map = prepared.build_map(kind, merged);
-    let made = Made::Map { gather_radius: prepared.gather_radius(&map) };
+    let map = Arc::new(prepared.build_map(kind, merged));
+    let made = Made::Map { gather_radius: prepared.gather_radius(&map), error: prepared.map_error(&map) };
     if let Some(sink) = sink {
         let digest = Digest(map.digest());
         sink.offer_map(digest, map);
@@ -72,6 +73,24 @@ pub(crate) fn build_bootstrap(
     }
     let bytes = sized("the bootstrap", encoded.bytes(), "trace fewer bootstrap paths")?;
     Ok(Built { input: InputRef::Bootstrap(BlobRef { digest, bytes }), encoded: Some(encoded), made })
+}
+
+/// Hands the sample map, which the closed rounds have made, to `sink`, or encodes it.
+///
+/// # Errors
+/// When the rounds have made none.
+pub(crate) fn build_sample_map(map: Option<Arc<SampleMap>>, sink: Option<&dyn Sink>) -> Result<Built, String> {
+    let map = map.ok_or("the closed rounds have not decided where the samples go")?;
+    let encoded = Pieces::of(sample_map::encode(&map));
+    let digest = encoded.list().digest();
+    if let Some(sink) = sink {
+        sink.offer_sample_map(digest, map);
+        let input = InputRef::SampleMap(BlobRef { digest, bytes: 0 });
+        return Ok(Built { input, encoded: None, made: Made::SampleMap });
+    }
+    let bytes = sized("the sample map", encoded.bytes(), "render fewer pixels")?;
+    let input = InputRef::SampleMap(BlobRef { digest, bytes });
+    Ok(Built { input, encoded: Some(encoded), made: Made::SampleMap })
 }
 
 /// The length of `encoded`, if it may be sent.

@@ -45,6 +45,7 @@ pub(crate) fn read(shape: &Shape, phase: Phase, range: EmissionRange, bytes: &[u
             Payload::Photons(photons::decode_batch(bytes, range, shape.directions.contains(&map))?)
         }
         Phase::Bootstrap { .. } => Payload::Luminances(range.first, bootstrap::decode(bytes, range)?),
+        Phase::SampleMap { .. } => return Err(WireError::payload("sample map", "is nothing that workers make")),
         Phase::Splat { .. } => {
             let empty = empty.ok_or_else(|| WireError::payload("light image", "is of a method that has none"))?;
             Payload::Light(light::decode(bytes, empty)?)

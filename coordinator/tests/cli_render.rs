@@ -154,7 +154,7 @@ fn a_target_error_ends_a_job_or_is_refused() {
     let render = |more: &str| run(dir.path(), &format!("render triangle.gltf -o x.exr --height 16 {more}"));
     let ended = render("--samples 64 --photons 2k --caustic-photons 2k --target-error 500%");
     ended.says(0, &[]);
-    assert!(ended.err.contains("whose own noise and blur are not in the error"), "{ended:?}");
+    assert!(ended.err.contains("whose own noise and blur count in the error and do not fall"), "{ended:?}");
     assert!(ended.out.contains("ended by the error limit: the image is the mean of 8 of 64 samples"), "{ended:?}");
     assert_eq!(image(&dir.path().join("x.exr")).attributes["gatherlight:samples"], "8");
     for (more, message) in [

@@ -33,7 +33,7 @@ pub const MAX_RESULT_COUNT: u64 = 1 << 48;
 pub const MAX_BOOTSTRAP_PATHS: u64 = 1 << 32;
 /// Longest time limit of a job.
 pub const MAX_TIME_LIMIT: Duration = Duration::from_secs(366 * 24 * 3600);
-/// Largest encoded photon map or bootstrap.
+/// Largest encoded photon map, bootstrap or sample map.
 pub const MAX_MAP_BYTES: u64 = 64 << 30;
 /// Largest scene file, buffer or image.
 pub const MAX_BLOB_BYTES: u64 = 16 << 30;

@@ -45,6 +45,8 @@ pub enum InputRef {
     Map(MapRef),
     /// The joined bootstrap.
     Bootstrap(BlobRef),
+    /// Where the samples go.
+    SampleMap(BlobRef),
 }
 
 impl InputRef {
@@ -52,7 +54,7 @@ impl InputRef {
     pub fn blob(&self) -> BlobRef {
         match *self {
             InputRef::Map(map) => BlobRef { digest: map.digest, bytes: map.bytes },
-            InputRef::Bootstrap(blob) => blob,
+            InputRef::Bootstrap(blob) | InputRef::SampleMap(blob) => blob,
         }
     }
 }
@@ -82,6 +84,8 @@ pub enum Task {
         round: u32,
         /// The maps they read.
         maps: Vec<MapRef>,
+        /// How many samples each pixel takes, where they are not all alike.
+        sample_map: Option<BlobRef>,
     },
 }
 

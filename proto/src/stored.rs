@@ -153,6 +153,7 @@ mod tests {
             result_digest: None,
             priority: -3,
             waits_for: "rain".into(),
+            owner: "somebody".into(),
         };
         let job = StoredJob {
             name: "a".into(),

@@ -4,15 +4,16 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{Accumulator, ChannelSet, LightImage, Tile, TileGrid};
+use crate::film::{Accumulator, ChannelSet, LightImage, MapError, SampleMap, Tile, TileGrid};
 use crate::import::{self, SceneBundle, Wanted};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
-use crate::integrator::photon_map::{self, GatherSettings, PhotonGather};
+use crate::integrator::photon_map::{self, GatherSettings, PhotonGather, Whole};
 use crate::integrator::radius::blur_of_rounds;
+use crate::integrator::tile::Samples;
 use crate::integrator::vcm::{self, Vcm};
 use crate::integrator::whitted::Whitted;
-use crate::integrator::{Bootstrap, path, progressive, tile};
+use crate::integrator::{Bootstrap, map_error, path, progressive, tile};
 use crate::math::Rgb;
 use crate::photon::aim::AimedEmission;
 use crate::photon::query::NeighbourBuffer;
@@ -45,6 +46,11 @@ pub enum Phase {
         /// Number of paths.
         paths: u64,
     },
+    /// Decide by what is closed how many samples each pixel takes from `round` on; then broadcast that. No work for workers.
+    SampleMap {
+        /// The first round that goes by it.
+        round: u32,
+    },
     /// Compute units 0 … `units` of the round that splat onto the light image: Markov chains, or whole rounds of the method.
     Splat {
         /// The round, from 0.
@@ -66,6 +72,7 @@ impl Phase {
     pub fn units(&self) -> u64 {
         match *self {
             Phase::Emission { paths, .. } | Phase::Bootstrap { paths } => paths,
+            Phase::SampleMap { .. } => 0,
             Phase::Splat { units, .. } => units,
             Phase::Gather { tiles, .. } => u64::from(tiles),
         }
@@ -74,6 +81,7 @@ impl Phase {
     pub fn round(&self) -> u32 {
         match *self {
             Phase::Emission { round, .. } | Phase::Gather { round, .. } | Phase::Splat { round, .. } => round,
+            Phase::SampleMap { round } => round,
             Phase::Bootstrap { .. } => 0,
         }
     }
@@ -90,6 +98,8 @@ pub struct Inputs {
     pub maps: PhotonMaps,
     /// The bootstrap of the Markov chains.
     pub bootstrap: Option<Arc<Bootstrap>>,
+    /// Where the samples go, once that is decided.
+    pub sample_map: Option<Arc<SampleMap>>,
 }
 
 /// Why a job cannot start.
@@ -218,9 +228,11 @@ impl PreparedJob {
             let e = e.filter(|_| round == 0 || self.settings.method.has_rounds())?;
             Some(Phase::Emission { round, map, paths: self.paths_of_round(e.paths, round) })
         };
+        let decides = self.settings.pilot_rounds() == Some(round);
         [emission(MapKind::Global, &self.plan.global), emission(MapKind::Caustic, &self.plan.caustic)]
             .into_iter()
             .flatten()
+            .chain(decides.then_some(Phase::SampleMap { round }))
             .chain([Phase::Gather { round, tiles: self.grid().len() }])
     }
     /// Number of rounds that the image is the mean of, ≥ 1.
@@ -238,6 +250,10 @@ impl PreparedJob {
             Accumulator::new(self.grid(), self.channels(), weights)
         };
         let film = if self.settings.layers.contains(&Layer::StandardError) { film.with_standard_error() } else { film };
+        let film = match self.settings.pilot_rounds() {
+            Some(rounds) => film.with_pilot(rounds),
+            None => film,
+        };
         match self.blur_of_rounds() {
             Some(widths) if widths.len() > 1 => film.with_blur(widths),
             _ => film,
@@ -344,7 +360,7 @@ impl PreparedJob {
                         let _ = own.as_ref().map(|own| light.add(own));
                     }
                 }
-                Phase::Bootstrap { .. } | Phase::Splat { .. } => {}
+                Phase::Bootstrap { .. } | Phase::SampleMap { .. } | Phase::Splat { .. } => {}
             }
         }
     }
@@ -366,6 +382,17 @@ impl PreparedJob {
     /// rayon pool.
     pub fn build_map(&self, kind: MapKind, merged: PhotonBatch) -> PhotonMap {
         PhotonMap::build(kind, merged)
+    }
+
+    /// The error that `map` brings into the image, in parallel on the current rayon pool; `None` where each round has maps of its own,
+    /// so that their differences tell it.
+    pub fn map_error(&self, map: &Arc<PhotonMap>) -> Option<MapError> {
+        let measure = || {
+            let mut maps = PhotonMaps::default();
+            maps.insert(map.clone());
+            map_error::measure(&self.scene, &self.camera, &self.settings, &maps)
+        };
+        (self.settings.method == Method::Photon && self.rounds() > 1).then(measure)
     }
 
     /// Largest radius `map` is searched with, in world units: given, or chosen from the map's density.
@@ -390,7 +417,7 @@ impl PreparedJob {
         };
         let (settings, scene, camera) = (&self.settings, &self.scene, &self.camera);
         let maps = &inputs.maps;
-        let samples = settings.samples_of_round(round);
+        let samples = Samples { even: settings.samples_of_round(round), map: inputs.sample_map.as_deref() };
         match settings.method {
             Method::Bdpt | Method::Vcm => {
                 let mut nowhere = None;
@@ -414,7 +441,8 @@ impl PreparedJob {
             }
             Method::Photon | Method::Progressive => {
                 let gather = self.gather_settings(maps, round);
-                let mut pass = PhotonGather { scene, maps, settings: gather, buffer: NeighbourBuffer::new() };
+                let mut pass =
+                    PhotonGather { scene, maps, settings: gather, reading: Whole, buffer: NeighbourBuffer::new() };
                 tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
                     pass.trace(ray, sampler)
                 })

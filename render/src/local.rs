@@ -26,12 +26,18 @@ pub fn run(job: &PreparedJob, mut goes_on: impl FnMut(&Accumulator) -> bool) -> 
             Phase::Emission { round, map, paths } => {
                 let batch = job.emit(round, map, EmissionRange { first: 0, end: paths });
                 run.non_finite += batch.non_finite;
-                inputs.maps.insert(Arc::new(job.build_map(map, batch)));
+                let map = Arc::new(job.build_map(map, batch));
+                run.film.add_map_error(job.map_error(&map));
+                inputs.maps.insert(map);
                 continue;
             }
             Phase::Bootstrap { paths } => {
                 let weights = job.bootstrap(EmissionRange { first: 0, end: paths });
                 inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
+                continue;
+            }
+            Phase::SampleMap { .. } => {
+                inputs.sample_map = run.film.sample_map().cloned().map(Arc::new);
                 continue;
             }
             Phase::Splat { round, units } => {

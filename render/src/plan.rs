@@ -334,6 +334,10 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entri
             ("Markov chains", format!("{up_to}{} chains, {} mutations a pixel", settings.chains, settings.mutations))
         }
         m if m.has_rounds() => ("gather pass", format!("{up_to}{} rounds, one sample each", settings.rounds)),
+        _ if settings.adaptive => (
+            "gather pass",
+            format!("{up_to}{} samples each on average, more where the first show more error", settings.samples),
+        ),
         _ => ("gather pass", format!("{up_to}{} samples each", settings.samples)),
     };
     entries.add(what, true, format!("{w} × {h} pixels, {effort}, method {method}"));

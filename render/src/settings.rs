@@ -31,6 +31,8 @@ pub const MAX_MUTATIONS: u32 = 1 << 24;
 pub const MAX_BOOTSTRAP: u64 = 1 << 26;
 /// Largest number of final-gather rays per camera sample.
 pub const MAX_FINAL_GATHER: u32 = 65_536;
+/// Fewest samples per pixel that adaptive sampling has anything to decide about.
+pub const MIN_ADAPTIVE_SAMPLES: u32 = 16;
 /// Side of a square tile in pixels; edge tiles are cropped.
 pub const TILE_SIZE: u32 = 16;
 
@@ -218,6 +220,8 @@ pub struct RenderSettings {
     pub camera: CameraChoice,
     /// Camera samples per pixel, ≥ 1.
     pub samples: u32,
+    /// Whether later samples go where the first ones have shown more error; the number of samples is then a mean.
+    pub adaptive: bool,
     /// Seed.
     pub seed: u64,
     /// Longest path in edges between camera and light; `None`: unlimited (roulette ends paths).
@@ -267,6 +271,7 @@ impl Default for RenderSettings {
             height: 512,
             camera: CameraChoice::First,
             samples: 32,
+            adaptive: false,
             seed: 0,
             max_depth: None,
             photons: 500_000,
@@ -362,6 +367,14 @@ impl RenderSettings {
     fn validate_for_method(&self) -> Result<(), SettingsError> {
         let bad = |setting, message: String| Err(SettingsError { setting, message });
         self.method.refuse_layers(&self.layers)?;
+        if self.adaptive {
+            self.method.refuse_unused(&[Setting::Adaptive])?;
+            if self.samples < MIN_ADAPTIVE_SAMPLES {
+                let n = self.samples;
+                let text = "the first of them are to show where the others go";
+                return bad("adaptive", format!("needs --samples {MIN_ADAPTIVE_SAMPLES} or more, not {n}: {text}"));
+            }
+        }
         if self.direct_from_map {
             if self.method != Method::Photon {
                 self.method.refuse_unused(&[Setting::DirectFromMap])?;
@@ -445,7 +458,17 @@ impl RenderSettings {
         std::iter::successors(next(0), move |b| next(b.first + b.len))
     }
 
-    /// Numbers of the camera samples of each pixel, chains or independent rounds that `round` of the image takes.
+    /// Rounds whose samples decide where those of the others go, where that is wanted: a quarter of all samples, but not so
+    /// few that they say nothing, nor so many that it comes late.
+    pub fn pilot_rounds(&self) -> Option<u32> {
+        const SAMPLES: [u32; 2] = [8, 64];
+        let wanted = (self.samples / 4).clamp(SAMPLES[0], SAMPLES[1]);
+        let before = self.blocks().take_while(|b| b.first < wanted).count() as u32;
+        self.adaptive.then_some(before)
+    }
+
+    /// Numbers of the camera samples of each pixel, chains or independent rounds that `round` of the image takes: of adaptive
+    /// sampling, those of an even distribution.
     pub fn parts_of_round(&self, round: u32) -> std::ops::Range<u32> {
         if self.merges_rounds() {
             return round..round + 1;

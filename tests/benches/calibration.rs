@@ -1,6 +1,7 @@
 //! Whether the stated errors are true: the table of `docs/error.md`.
 //!
-//! `cargo bench --bench calibration -- [SEEDS] [SCENE …]`: relative errors, stated and real, of every method on each scene.
+//! `cargo bench --bench calibration -- [SEEDS] [SCENE …] [METHOD …]`: relative errors, stated and real, of every method on each scene, or
+//! of those named.
 
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::calibration::calibrate;
@@ -28,20 +29,6 @@ fn settings(method: Method, height: u32) -> RenderSettings {
     }
 }
 
-/// Height and values of the reference, as means of blocks of its pixels.
-fn truth(name: &str) -> (u32, Vec<f64>) {
-    let (width, height, pixels) = references::image(name);
-    let factor = width / WIDTH;
-    let mut sums = vec![0.0; (WIDTH * (height / factor) * 3) as usize];
-    for (i, pixel) in pixels.iter().enumerate() {
-        let (x, y) = (i as u32 % width / factor, i as u32 / width / factor);
-        for (c, v) in pixel.to_array().into_iter().enumerate() {
-            sums[((y * WIDTH + x) * 3) as usize + c] += f64::from(v) / f64::from(factor * factor);
-        }
-    }
-    (height / factor, sums)
-}
-
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     // `cargo test --benches` would run it too.
@@ -49,15 +36,18 @@ fn main() {
         return;
     }
     let seeds = arguments.first().and_then(|a| a.parse().ok()).unwrap_or(SEEDS);
-    let wanted = |name: &str| arguments.len() < 2 || arguments[1..].iter().any(|a| a == name);
+    let named: Vec<&str> = arguments.iter().skip(1).map(String::as_str).collect();
+    let is_method = |name: &&str| Method::ALL.iter().any(|m| m.name() == *name);
+    let (methods, scenes): (Vec<&str>, Vec<&str>) = named.into_iter().partition(is_method);
+    let wanted = |names: &[&str], name: &str| names.is_empty() || names.contains(&name);
     println!("{seeds} seeds, images {WIDTH} pixels wide; relative errors");
     println!(
         "| scene | method | coverage | noise, stated : real | stated noise | stated bias | real error | stated : real |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for name in SCENES.into_iter().filter(|n| wanted(n)) {
-        let (height, truth) = truth(name);
-        for method in Method::ALL {
+    for name in SCENES.into_iter().filter(|n| wanted(&scenes, n)) {
+        let (_, height, truth) = references::reduced(name, WIDTH);
+        for method in Method::ALL.into_iter().filter(|m| wanted(&methods, m.name())) {
             let reference = method.is_consistent().then_some(&truth[..]);
             let c = calibrate(&scene(&format!("{name}.glb")), &settings(method, height), seeds, reference);
             let percent = |v: f64| format!("{:.2} %", 100.0 * v);

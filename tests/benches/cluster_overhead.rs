@@ -4,7 +4,7 @@
 //!
 //! `GATHERLIGHT_BENCH_PHOTONS` sets another number of photon paths for each map.
 
-use gatherlight_tests::processes::built_program;
+use gatherlight_tests::processes::{Whose, built_program, cpu_seconds};
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -16,16 +16,6 @@ const PATHS: u64 = 5_000_000;
 const TURNS: usize = 5;
 /// CPU time through gRPC over CPU time in one process.
 const MAX_RATIO: f64 = 1.05;
-/// Clock ticks per second in /proc, on every Linux architecture that Rust supports.
-const TICKS: f64 = 100.0;
-
-/// CPU seconds, user and system, of all children that have been waited for (proc(5): cutime, cstime).
-fn children_seconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").expect("Linux");
-    let fields = stat.rsplit(") ").next().expect("fields after the name");
-    fields.split(' ').skip(13).take(2).map(|t| t.parse::<f64>().expect("ticks")).sum::<f64>() / TICKS
-}
-
 fn start(program: &Path, arguments: &[&OsStr], stdout: Stdio) -> Child {
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::null()).stdout(stdout).stderr(Stdio::null());
@@ -76,9 +66,9 @@ impl Bench {
 }
 
 fn seconds(work: impl FnOnce()) -> f64 {
-    let before = children_seconds();
+    let before = cpu_seconds(Whose::Children);
     work();
-    children_seconds() - before
+    cpu_seconds(Whose::Children) - before
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -97,7 +97,7 @@ fn costs(job: &PreparedJob) -> Costs {
                 let bytes = payload::gather::encode(&rendered, job.channels().len(), light.as_ref());
                 c.result_bytes += bytes.len() as f64;
             }
-            Phase::Bootstrap { .. } | Phase::Splat { .. } => {}
+            Phase::Bootstrap { .. } | Phase::SampleMap { .. } | Phase::Splat { .. } => {}
         }
     }
     let n = f64::from(TIMED);

@@ -30,6 +30,25 @@ pub fn reference(name: &str) -> Vec<Rgb> {
     pixels
 }
 
+/// Width, height and values of the image of the scene `name`, all channels of a pixel after the other, as means of blocks of its
+/// pixels: `width` divides its width.
+///
+/// # Panics
+/// When it cannot be read.
+pub fn reduced(name: &str, width: u32) -> (u32, u32, Vec<f64>) {
+    let (whole_width, whole_height, pixels) = image(name);
+    let factor = whole_width / width;
+    let height = whole_height / factor;
+    let mut sums = vec![0.0; (width * height * 3) as usize];
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (x, y) = (i as u32 % whole_width / factor, i as u32 / whole_width / factor);
+        for (c, v) in pixel.to_array().into_iter().enumerate() {
+            sums[((y * width + x) * 3) as usize + c] += f64::from(v) / f64::from(factor * factor);
+        }
+    }
+    (width, height, sums)
+}
+
 /// The image made of the means of blocks of `factor` × `factor` pixels of an image of [`SIDE`].
 pub fn block_means(pixels: &[Rgb], factor: u32) -> Vec<Rgb> {
     let side = SIDE / factor;

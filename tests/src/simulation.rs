@@ -270,7 +270,9 @@ impl World<'_> {
                 false => {
                     let passes = most > 1 && self.random.chance(0.3);
                     let of = |r| all(r)[if passes && r > 0 { 2 } else { skip }..].to_vec();
-                    (0..rounds).flat_map(of).collect()
+                    // Some of them go where the error is from some round on.
+                    let decides = |r| (passes && r > 0 && r == rounds / 2).then_some(Phase::SampleMap { round: r });
+                    (0..rounds).flat_map(|r| decides(r).into_iter().chain(of(r)).collect::<Vec<_>>()).collect()
                 }
             });
             self.open.insert(JobId(i as u64));

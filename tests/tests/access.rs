@@ -122,8 +122,8 @@ async fn a_token_allows_what_its_roles_say_and_no_more() {
             endpoint(&farm.coordinator.url(), &token(secret)).expect("a URL").connect().await.expect("connects");
         let stamp = Stamp::new(Versions::own(), &token(secret));
         let mut cluster = ClusterClient::with_interceptor(channel, stamp);
-        let request = wire::FetchRequest { session: vec![0; 16].into(), digest: vec![0; 32].into() };
-        assert_eq!(cluster.fetch(request).await.map(drop).unwrap_err().code(), Code::PermissionDenied);
+        let request = wire::LocateRequest { session: vec![0; 16].into(), digest: vec![0; 32].into() };
+        assert_eq!(cluster.locate(request).await.map(drop).unwrap_err().code(), Code::PermissionDenied);
         let nothing = tokio_stream::iter(Vec::new());
         assert_eq!(cluster.deliver(nothing).await.map(drop).unwrap_err().code(), Code::PermissionDenied);
     }

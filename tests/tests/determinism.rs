@@ -5,7 +5,7 @@ use gatherlight::embedded::{Config, RenderError, render};
 use gatherlight::types::{JobResult, Limit, Limits};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{Phase, PreparedJob};
-use gatherlight_render::settings::{Layer, Merge, Method, RenderSettings};
+use gatherlight_render::settings::{Layer, Merge, Method, RenderSettings, Setting};
 use gatherlight_tests::cluster::small_leases;
 use gatherlight_tests::{film_sha256, scene, single};
 use gatherlight_worker::Faults;
@@ -30,7 +30,8 @@ impl Case {
         Case { phases: job.phases(), reference: film_sha256(&film), settings }
     }
     fn name(&self) -> String {
-        format!("{} {}", self.settings.method.name(), self.settings.merge.name())
+        let how = if self.settings.adaptive { "adaptive" } else { self.settings.merge.name() };
+        format!("{} {how}", self.settings.method.name())
     }
     fn render(&self, workers: usize, threads: usize, change: impl FnOnce(&mut Config)) -> JobResult {
         let mut config = Config { workers, threads, policy: small_leases(), ..Config::default() };
@@ -75,7 +76,7 @@ fn limits_of_a_job_of_one_round_are_refused() {
     }
 }
 
-/// Every method, small, and where it has rounds with both ways to merge them.
+/// Every method, small, and where it has rounds with both ways to merge them, and where it can with samples that go where the error is.
 static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {
     let settings = |method| RenderSettings {
         method,
@@ -94,7 +95,15 @@ static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {
     };
     let merges = |method: Method| if method.has_rounds() { &Merge::ALL[..] } else { &Merge::ALL[..1] };
     let all = Method::ALL.iter().flat_map(|&m| merges(m).iter().map(move |&merge| (m, merge)));
-    all.map(|(method, merge)| Case::new(RenderSettings { merge, ..settings(method) })).collect()
+    let all = all.map(|(method, merge)| RenderSettings { merge, ..settings(method) });
+    let adaptive = Setting::Adaptive.methods().map(|method| RenderSettings {
+        adaptive: true,
+        samples: 16,
+        final_gather: 1,
+        layers: vec![Layer::Variance, Layer::Samples, Layer::StandardError],
+        ..settings(method)
+    });
+    all.chain(adaptive).map(Case::new).collect()
 });
 
 #[test]

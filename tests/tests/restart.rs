@@ -43,7 +43,9 @@ async fn in_emission() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn in_gather() {
-    let [before, after] = killed_in(&settings(Method::Photon), is_in(|s| *s == JobState::Gather, 0.4)).await;
+    // Where the samples go is decided by then.
+    let adaptive = RenderSettings { adaptive: true, ..settings(Method::Photon) };
+    let [before, after] = killed_in(&adaptive, is_in(|s| *s == JobState::Gather, 0.6)).await;
     let whole = after.stats.rays as f64;
     assert!(before.stats.rays as f64 > 0.2 * whole, "{} of {whole} rays before", before.stats.rays);
 }

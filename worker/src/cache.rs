@@ -1,5 +1,5 @@
-//! What a worker holds to compute with: prepared scenes, bootstraps and the present round's maps of the present jobs. Their bytes
-//! are the relay's.
+//! What a worker holds to compute with: prepared scenes, bootstraps, sample maps and the present round's maps of the present jobs.
+//! Their bytes are the relay's.
 
 use crate::client::Remote;
 use crate::error::TaskError;
@@ -9,9 +9,10 @@ use crate::shared::Shared;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
 use gatherlight_proto::message::{BlobRef, MapRef};
-use gatherlight_proto::payload::bootstrap;
 use gatherlight_proto::payload::map::decode_map;
+use gatherlight_proto::payload::{bootstrap, sample_map};
 use gatherlight_proto::types::JobId;
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PhotonMap, PhotonMaps, PreparedJob};
@@ -29,6 +30,7 @@ struct Held {
     /// At most one of each kind: those of the round that was gathered last.
     maps: BTreeMap<MapKind, (Digest, Arc<PhotonMap>)>,
     bootstrap: Option<(Digest, Arc<Bootstrap>)>,
+    sample_map: Option<(Digest, Arc<SampleMap>)>,
 }
 
 impl Held {
@@ -146,6 +148,33 @@ impl Cache {
         };
         self.jobs.entry(id).or_default().bootstrap = Some((wanted.digest, joined.clone()));
         Ok(joined)
+    }
+    /// The job's sample map, fetched the first time.
+    ///
+    /// # Errors
+    /// When it does not come, is not what it should be, or does not fit.
+    pub async fn sample_map(
+        &mut self,
+        id: JobId,
+        wanted: BlobRef,
+        prepared: &PreparedJob,
+        remote: &Remote,
+    ) -> Result<Arc<SampleMap>, TaskError> {
+        if let Some((digest, held)) = self.jobs.get(&id).and_then(|j| j.sample_map.clone())
+            && digest == wanted.digest
+        {
+            return Ok(held);
+        }
+        let map = match self.shared.sample_map(wanted.digest) {
+            Some(shared) => shared,
+            None => {
+                self.check_fits("sample map", wanted.bytes)?;
+                let bytes = remote.fetch("the sample map", wanted, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+                Arc::new(sample_map::decode(&bytes, prepared.grid())?)
+            }
+        };
+        self.jobs.entry(id).or_default().sample_map = Some((wanted.digest, map.clone()));
+        Ok(map)
     }
     fn check_fits(&self, what: &str, bytes: u64) -> Result<(), TaskError> {
         let limit = self.memory_bytes;

@@ -3,6 +3,7 @@
 
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::SceneManifest;
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{PhotonMap, PreparedJob};
 use gatherlight_render::settings::RenderSettings;
@@ -15,12 +16,13 @@ type Scene = (SceneManifest, RenderSettings, Arc<PreparedJob>);
 /// What was offered under each digest, with the number of offers: maps of two rounds may be equal.
 type Offered<T> = Arc<Mutex<BTreeMap<Digest, (Arc<T>, usize)>>>;
 
-/// Scenes, maps and bootstraps that are in this process already; clones share them.
+/// Scenes, maps, bootstraps and sample maps that are in this process already; clones share them.
 #[derive(Clone, Default)]
 pub struct Shared {
     scenes: Arc<Mutex<Vec<Scene>>>,
     maps: Offered<PhotonMap>,
     bootstraps: Offered<Bootstrap>,
+    sample_maps: Offered<SampleMap>,
 }
 
 impl Shared {
@@ -49,14 +51,23 @@ impl Shared {
     pub fn bootstrap(&self, digest: Digest) -> Option<Arc<Bootstrap>> {
         lock(&self.bootstraps).get(&digest).map(|(bootstrap, _)| bootstrap.clone())
     }
+    /// Offers a sample map under the digest by which leases name it.
+    pub fn offer_sample_map(&self, digest: Digest, map: Arc<SampleMap>) {
+        lock(&self.sample_maps).entry(digest).or_insert((map, 0)).1 += 1;
+    }
+    /// The sample map of this digest.
+    pub fn sample_map(&self, digest: Digest) -> Option<Arc<SampleMap>> {
+        lock(&self.sample_maps).get(&digest).map(|(map, _)| map.clone())
+    }
     /// Takes one offer back; what is not offered any more is dropped.
     pub fn withdraw(&self, digest: Digest) {
         withdraw(&mut lock(&self.maps), digest);
         withdraw(&mut lock(&self.bootstraps), digest);
+        withdraw(&mut lock(&self.sample_maps), digest);
     }
-    /// Number of maps and bootstraps that are offered.
+    /// Number of maps, bootstraps and sample maps that are offered.
     pub fn offers(&self) -> usize {
-        lock(&self.maps).len() + lock(&self.bootstraps).len()
+        lock(&self.maps).len() + lock(&self.bootstraps).len() + lock(&self.sample_maps).len()
     }
 }
 

@@ -49,8 +49,8 @@ impl LimitArgs {
         }
         if self.target_error.is_some() && method == Method::Photon {
             warn(
-                "--target-error: all passes read the same photon maps, whose own noise and blur are not in the error; method \
-                 progressive knows both",
+                "--target-error: all passes read the same photon maps, whose own noise and blur count in the error and do not fall; \
+                 those of method progressive do",
             );
         }
         Ok(Limits { time: self.time_limit, error: self.target_error })

@@ -12,6 +12,9 @@ pub(super) struct OptionArgs {
     #[arg(long, value_name = "N", value_parser = count32, help_heading = "Image",
           help = help("Camera samples per pixel", Setting::Samples), hide = unused(Setting::Samples))]
     samples: Option<u32>,
+    #[arg(long, help_heading = "Image", hide = unused(Setting::Adaptive),
+          help = help("More of the samples where the first of them show more error", Setting::Adaptive))]
+    adaptive: bool,
     #[arg(long, value_name = "N", help_heading = "Image",
           help = help("Longest path in edges between camera and light", Setting::MaxDepth),
           hide = unused(Setting::MaxDepth))]
@@ -97,6 +100,7 @@ impl OptionArgs {
         let (p, r, c) = (&self.photon, &self.rounds, &self.chain);
         let is_given = |setting: &Setting| match setting {
             Setting::Samples => self.samples.is_some(),
+            Setting::Adaptive => self.adaptive,
             Setting::MaxDepth => self.max_depth.is_some(),
             Setting::Photons => p.photons.is_some(),
             Setting::CausticPhotons => p.caustic_photons.is_some(),
@@ -125,6 +129,7 @@ impl OptionArgs {
         // As many as rounds and pixels make, unless their number is given.
         [s.photons, s.caustic_photons] = s.default_photons();
         set(&mut s.samples, self.samples);
+        s.adaptive = self.adaptive;
         s.max_depth = self.max_depth;
         set(&mut s.photons, p.photons);
         set(&mut s.caustic_photons, p.caustic_photons);
@@ -195,7 +200,7 @@ fn default_text(setting: Setting, method: Method) -> String {
         (Setting::Photons, Method::Vcm) => return "one a pixel and round".into(),
         (Setting::MaxDepth, _) => return "unlimited".into(),
         (Setting::MaxRadius, _) => return "from the map's density".into(),
-        (Setting::DirectFromMap, _) => return "off".into(),
+        (Setting::DirectFromMap | Setting::Adaptive, _) => return "off".into(),
         (Setting::Memory, _) => return "unlimited".into(),
         _ => {}
     }

@@ -169,6 +169,7 @@ fn phase_json(phase: &Phase) -> Value {
             json!({ "phase": "emission", "round": round, "map": map.name(), "paths": paths })
         }
         Phase::Bootstrap { paths } => json!({ "phase": "bootstrap", "paths": paths }),
+        Phase::SampleMap { round } => json!({ "phase": "sample map", "round": round }),
         Phase::Splat { round, units } => json!({ "phase": "splat", "round": round, "units": units }),
         Phase::Gather { round, tiles } => json!({ "phase": "gather", "round": round, "tiles": tiles }),
     }

@@ -14,7 +14,7 @@ use gatherlight_proto::message::{
 };
 use gatherlight_proto::pieces::Pieces;
 use gatherlight_render::export::ImageMetadata;
-use gatherlight_render::film::{Film, LightImage, Tile};
+use gatherlight_render::film::{Film, LightImage, MapError, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::Phase;
 use gatherlight_render::photon::{EmissionRange, PhotonBatch};
@@ -187,7 +187,7 @@ pub struct Delivery {
 pub enum Source {
     /// The store has it.
     Blob(Digest),
-    /// A photon map or a bootstrap in memory; add to the counter what is sent of it.
+    /// A photon map, a bootstrap or a sample map in memory; add to the counter what is sent of it.
     Memory {
         /// All of it, shared.
         pieces: Pieces,
@@ -221,8 +221,11 @@ pub(crate) enum Made {
     Map {
         /// Largest gather radius the map is searched with, in world units.
         gather_radius: f32,
+        /// What it makes wrong in the image, where no later map makes up for it.
+        error: Option<MapError>,
     },
     Bootstrap(Arc<Bootstrap>),
+    SampleMap,
 }
 
 /// A finished image.

@@ -13,7 +13,7 @@ use crate::types::JobStats;
 use gatherlight_proto::message::InputRef;
 use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::{Digest, WireError};
-use gatherlight_render::film::{Accumulator, Bias, LightImage, Noise, Tile};
+use gatherlight_render::film::{Accumulator, Bias, LightImage, MapError, Noise, SampleMap, Tile};
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::merge::Merger;
@@ -28,7 +28,7 @@ struct Served {
     digest: Digest,
     encoded: Option<Pieces>,
     sent: Arc<AtomicU64>,
-    /// A bootstrap is read in all rounds.
+    /// A bootstrap is read in all rounds, a sample map in all to come.
     retires: bool,
 }
 
@@ -69,6 +69,8 @@ pub(super) struct Live {
     luminances: BTreeMap<u64, Vec<f32>>,
     bootstrap: Option<Arc<Bootstrap>>,
     film: FilmState,
+    /// Of maps that all rounds read, until there is a film.
+    map_errors: Vec<MapError>,
     /// Results of rounds after the one in the making, or while that is being closed.
     early: BTreeMap<u32, Vec<Early>>,
     light: Option<LightParts>,
@@ -95,6 +97,7 @@ impl Live {
             luminances: BTreeMap::new(),
             bootstrap: None,
             film: FilmState::Empty,
+            map_errors: Vec::new(),
             early: BTreeMap::new(),
             light,
             served: Vec::new(),
@@ -103,6 +106,10 @@ impl Live {
             sink,
             prepared,
         }
+    }
+    /// Its scene and settings.
+    pub(super) fn prepared(&self) -> &PreparedJob {
+        &self.prepared
     }
     /// The sum of its light images, where it has one.
     pub(super) fn light_sum(&self) -> Option<Arc<LightSum>> {
@@ -165,7 +172,10 @@ impl Live {
         room: Room,
     ) -> Result<(), String> {
         if matches!(self.film, FilmState::Empty) {
-            self.film = FilmState::Here(Box::new(self.prepared.accumulator()));
+            // Maps that all rounds read are there before any tile.
+            let mut film = Box::new(self.prepared.accumulator());
+            self.map_errors.drain(..).for_each(|error| film.add_map_error(Some(error)));
+            self.film = FilmState::Here(film);
         }
         match &mut self.film {
             FilmState::Here(film) if film.closed_rounds() == round => {
@@ -211,14 +221,14 @@ impl Live {
         self.film = FilmState::Here(Box::new(restored));
         Ok((noise, bias))
     }
-    /// Phases before round `round` whose inputs it and later ones read: the bootstrap, and maps where no more are made.
+    /// Phases before round `round` whose inputs it and later ones read: bootstrap, sample map, and maps where no more are made.
     pub(super) fn kept_inputs(&self, round: u32) -> Vec<usize> {
         let is_emission = |p: &Phase| matches!(p, Phase::Emission { .. });
         let before = self.phases.iter().take_while(|p| p.round() < round).enumerate();
         let makes_own = self.phases.iter().any(|p| p.round() == round && is_emission(p));
         let latest = before.clone().filter(|(_, p)| is_emission(p)).map(|(_, p)| p.round()).max();
         let reads = |p: &Phase| match p {
-            Phase::Bootstrap { .. } => true,
+            Phase::Bootstrap { .. } | Phase::SampleMap { .. } => true,
             Phase::Emission { round, .. } => !makes_own && Some(*round) == latest,
             _ => false,
         };
@@ -241,6 +251,10 @@ impl Live {
     pub(super) fn take_luminances(&mut self) -> BTreeMap<u64, Vec<f32>> {
         std::mem::take(&mut self.luminances)
     }
+    /// Where the samples of the rounds to come go, by those that are closed.
+    pub(super) fn sample_map(&self) -> Option<Arc<SampleMap>> {
+        if let FilmState::Here(film) = &self.film { film.sample_map().cloned().map(Arc::new) } else { None }
+    }
     /// Where workers in this process find what they read.
     pub(super) fn sink(&self) -> Option<Arc<dyn Sink>> {
         self.sink.clone()
@@ -249,8 +263,10 @@ impl Live {
     pub(super) fn serve(&mut self, round: u32, built: Built) {
         let Built { input, encoded, made } = built;
         let (digest, retires) = (input.blob().digest, matches!(input, InputRef::Map(_)));
-        if let Made::Bootstrap(bootstrap) = made {
-            self.bootstrap = Some(bootstrap);
+        match made {
+            Made::Bootstrap(bootstrap) => self.bootstrap = Some(bootstrap),
+            Made::Map { error: Some(error), .. } => self.map_errors.push(error),
+            Made::Map { error: None, .. } | Made::SampleMap => {}
         }
         self.served.push(Served { round, digest, encoded, sent: Arc::default(), retires });
     }
@@ -376,10 +392,13 @@ mod tests {
     struct Offers(Mutex<Vec<Digest>>);
 
     impl Sink for Offers {
-        fn offer_map(&self, digest: Digest, _: PhotonMap) {
+        fn offer_map(&self, digest: Digest, _: Arc<PhotonMap>) {
             self.0.lock().unwrap().push(digest);
         }
         fn offer_bootstrap(&self, digest: Digest, _: Arc<Bootstrap>) {
+            self.0.lock().unwrap().push(digest);
+        }
+        fn offer_sample_map(&self, digest: Digest, _: Arc<SampleMap>) {
             self.0.lock().unwrap().push(digest);
         }
         fn withdraw(&self, digest: Digest) {
@@ -419,14 +438,14 @@ mod tests {
             assert!(merger.is_complete());
             // Every third round has the map of the one before, byte for byte.
             let digest = Digest([(round - u32::from(round % 3 == 2)) as u8; 32]);
-            offers.offer_map(digest, empty_map());
+            offers.offer_map(digest, Arc::new(empty_map()));
             let input = InputRef::Map(MapRef { kind: MapKind::Global, digest, bytes: 0 });
             live.serve(
                 round,
                 Built {
                     input,
                     encoded: Some(Pieces::of((&b"map"[..]).into())),
-                    made: Made::Map { gather_radius: 1.0 },
+                    made: Made::Map { gather_radius: 1.0, error: None },
                 },
             );
             let Some(Source::Memory { pieces, sent }) = live.source(digest) else { panic!("is not served") };

@@ -29,6 +29,7 @@ use crate::store::journal::{Change, SavedResult};
 use crate::types::{JobId, JobStats};
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{DeliverHeader, FromWorker, ToWorker, WorkerId};
+use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PhotonMap};
 use handle::{Input, Reply};
@@ -58,9 +59,11 @@ pub enum KeepImage {
 /// Takes what workers of this process read, under the digest that leases name.
 pub trait Sink: Send + Sync {
     /// A photon map.
-    fn offer_map(&self, digest: Digest, map: PhotonMap);
+    fn offer_map(&self, digest: Digest, map: Arc<PhotonMap>);
     /// A bootstrap.
     fn offer_bootstrap(&self, digest: Digest, bootstrap: Arc<Bootstrap>);
+    /// Offers a sample map.
+    fn offer_sample_map(&self, digest: Digest, map: Arc<SampleMap>);
     /// What was offered under this digest is not read any more; to be called once for each offer.
     fn withdraw(&self, digest: Digest);
 }

@@ -12,9 +12,11 @@ use crate::store::Store;
 use crate::store::journal::{SavedInput, SavedResult, SavedRounds, SavedWork};
 use crate::types::{JobId, JobStats, MapStats};
 use gatherlight_proto::message::{BlobRef, InputRef, MapRef};
-use gatherlight_proto::payload::bootstrap;
+use gatherlight_proto::payload::map::decode_map;
+use gatherlight_proto::payload::{bootstrap, sample_map};
 use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::stored::{StoredJob, StoredRounds};
+use gatherlight_render::film::MapError;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PreparedJob};
 use gatherlight_render::photon::EmissionRange;
@@ -108,19 +110,24 @@ impl Resumed {
     }
 
     fn input(&mut self, saved: SavedInput) -> Option<()> {
-        let SavedInput { phase: index, stored, gather_radius, payload: bytes } = saved;
+        let SavedInput { phase: index, stored, gather_radius, payload: ref bytes } = saved;
         let phase = *self.live.phases.get(index)?;
-        let encoded = Pieces::of(bytes);
+        let encoded = Pieces::of(bytes.clone());
         let bytes = encoded.bytes();
         let blob = BlobRef { digest: encoded.list().digest(), bytes: bytes.len() as u64 };
         let (input, made) = match phase {
             Phase::Emission { map: kind, .. } => {
                 let BlobRef { digest, bytes } = blob;
-                (InputRef::Map(MapRef { kind, digest, bytes }), Made::Map { gather_radius })
+                let map = MapRef { kind, digest, bytes };
+                (InputRef::Map(map), Made::Map { gather_radius, error: self.map_error(map, &saved.payload) })
             }
             Phase::Bootstrap { paths } => {
                 let luminances = bootstrap::decode(bytes, EmissionRange { first: 0, end: paths }).ok()?;
                 (InputRef::Bootstrap(blob), Made::Bootstrap(Arc::new(Bootstrap::new(luminances))))
+            }
+            Phase::SampleMap { .. } => {
+                sample_map::decode(bytes, self.live.shape.grid).ok()?;
+                (InputRef::SampleMap(blob), Made::SampleMap)
             }
             Phase::Gather { .. } | Phase::Splat { .. } => return None,
         };
@@ -134,6 +141,15 @@ impl Resumed {
         self.saved.inputs.insert(index, (input, stored));
         self.live.serve(phase.round(), Built { input, encoded: Some(encoded), made });
         Some(())
+    }
+
+    /// The error of a map, measured anew where no film is kept that knows it.
+    fn map_error(&self, map: MapRef, bytes: &[u8]) -> Option<MapError> {
+        if self.saved.rounds > 0 {
+            return None;
+        }
+        let decoded = decode_map(bytes, map.kind, map.bytes).ok()?;
+        self.live.prepared().map_error(&Arc::new(decoded))
     }
 
     fn result(&mut self, saved: SavedResult) -> Result<Option<()>, String> {

@@ -16,7 +16,7 @@ use gatherlight_render::job::Phase;
 use tokio::sync::mpsc;
 
 impl Driver {
-    /// Joins the results of an emission or bootstrap phase, or closes the round of a gather or splat.
+    /// Joins the results of an emission or bootstrap phase, makes the sample map, or closes the round of a gather or splat.
     pub(super) fn build(&mut self, id: JobId, phase: Phase) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let noted = if self.store.journal().is_some() { job.noted_bytes } else { 0 };
@@ -31,6 +31,10 @@ impl Driver {
             Phase::Bootstrap { paths } => {
                 let luminances = live.take_luminances();
                 self.compute.spawn(move || merge::build_bootstrap(paths, luminances, sink.as_deref()), built);
+            }
+            Phase::SampleMap { .. } => {
+                let map = live.sample_map();
+                self.compute.spawn(move || merge::build_sample_map(map, sink.as_deref()), built);
             }
             Phase::Gather { .. } | Phase::Splat { .. } => {
                 let Some(round) = live.take_round(phase, noted) else { return };
@@ -49,7 +53,7 @@ impl Driver {
             Err(error) => return self.event(Event::StepFailed { job: id, error }),
         };
         let (input, round) = (built.input, phase.round());
-        let gather_radius = if let Made::Map { gather_radius } = built.made { gather_radius } else { 0.0 };
+        let gather_radius = if let Made::Map { gather_radius, .. } = built.made { gather_radius } else { 0.0 };
         let payload = built.encoded.as_ref().map(|e| e.bytes().clone()).unwrap_or_default();
         self.note_input(id, phase, gather_radius, payload);
         let Some(job) = self.jobs.get_mut(&id) else { return };

@@ -207,8 +207,8 @@ pub enum Command {
         /// Why.
         reason: Discarded,
     },
-    /// All results of a phase are there. Of an emission or bootstrap: join them, and make of them what workers read; of a gather:
-    /// close its round.
+    /// All results of a phase are there. Of an emission or bootstrap: join them, and make of them what workers read; make the sample map;
+    /// of a gather: close its round.
     Build {
         /// The job.
         job: JobId,

@@ -6,6 +6,7 @@
 //! ```text
 //!                          all indices done        input made, or round closed
 //!  emission, bootstrap:  Working ───► Building ───► Complete
+//!  sample map:           Working ───► Building ───► Complete      as soon as the round before is closed
 //!  image of a round:     Working ───► Building ───► Complete
 //!  image of only one:    Working ─────────────────► Complete
 //!
@@ -17,6 +18,7 @@
 //! - The image of a round is made by a gather or a splat. An emission or bootstrap is open as soon as it is in the window; a gather
 //!   or splat once all maps of its round and the bootstrap are built and nothing of the one before it is left to hand out.
 //! - A gather reads the latest maps: those of its own round, or of the last round before it that had any.
+//! - A sample map is made of the rounds that are closed; the gathers from its round on wait for it, and read it.
 //! - Rounds are closed in order. What is computed of a round before the one before it is closed waits for that.
 //! - Open phases are handed out in order: the next one gives work only where nothing of those before is left. So one map
 //!   is merged while the next is traced, and the photons of a round are traced while the tiles of the one before are
@@ -87,6 +89,8 @@ pub struct Job {
     kept: Vec<MapRef>,
     /// The bootstrap, which all rounds read.
     bootstrap: Option<BlobRef>,
+    /// The sample map, which all rounds from its own on read.
+    sample_map: Option<BlobRef>,
     /// The image is as good as was asked for.
     is_good_enough: bool,
     /// The time limit is reached.
@@ -139,7 +143,7 @@ pub struct Done {
 pub enum Next {
     /// Nothing new.
     Nothing,
-    /// Join the results of this emission or bootstrap phase, or close the round of this gather or splat.
+    /// Join the results of this emission or bootstrap phase, make the sample map, or close the round of this gather or splat.
     Build(Phase),
     /// Drop the maps of this round.
     Retire(u32),
@@ -172,6 +176,7 @@ fn is_round(round: &[Phase]) -> bool {
         && place(&|p| p.makes_image()) == round.len().checked_sub(1)
         && MapKind::ALL.iter().all(|&m| count(Kind::Emission(m)) == 0 || !has_splat)
         && (count(Kind::Bootstrap) == 0 || has_splat)
+        && (count(Kind::SampleMap) == 0 || (!has_splat && round.iter().all(|p| p.round() > 0)))
 }
 
 impl Job {
@@ -191,6 +196,7 @@ impl Job {
             rounds_done: saved.rounds,
             kept: Vec::new(),
             bootstrap: None,
+            sample_map: None,
             is_good_enough: false,
             is_late: false,
             ended_by: None,
@@ -212,6 +218,7 @@ impl Job {
             match input {
                 InputRef::Map(map) => job.kept.push(map),
                 InputRef::Bootstrap(blob) => job.bootstrap = Some(blob),
+                InputRef::SampleMap(blob) => job.sample_map = Some(blob),
             }
         }
         job.saved = saved;
@@ -258,10 +265,10 @@ impl Job {
     fn is_open(&self, place: usize) -> bool {
         let mut before = self.window.iter().take(place);
         match self.window[place].work.phase {
-            Phase::Emission { .. } | Phase::Bootstrap { .. } => true,
+            Phase::Emission { .. } | Phase::Bootstrap { .. } | Phase::SampleMap { .. } => true,
             Phase::Gather { round, .. } | Phase::Splat { round, .. } => before.all(|s| match s.work.phase {
                 Phase::Emission { round: r, .. } => s.is_complete() || r != round,
-                Phase::Bootstrap { .. } => s.is_complete(),
+                Phase::Bootstrap { .. } | Phase::SampleMap { .. } => s.is_complete(),
                 Phase::Gather { .. } | Phase::Splat { .. } => s.work.waiting() == 0,
             }),
         }
@@ -284,7 +291,9 @@ impl Job {
             Phase::Emission { round, map, .. } => Task::Emission { round, map },
             Phase::Bootstrap { .. } => Task::Bootstrap,
             Phase::Splat { round, .. } => Task::Splat { round, bootstrap: self.bootstrap },
-            Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round) },
+            Phase::Gather { round, .. } => Task::Gather { round, maps: self.maps(round), sample_map: self.sample_map },
+            // Nothing for workers to do.
+            Phase::SampleMap { .. } => return None,
         })
     }
     /// The maps that a round reads, as far as they are built, in order.
@@ -327,13 +336,15 @@ impl Job {
                     step.stage = Stage::Building;
                     return Next::Build(phase);
                 }
-                phase @ (Phase::Gather { .. } | Phase::Splat { .. }) if closes_rounds => {
+                phase @ (Phase::Gather { .. } | Phase::Splat { .. } | Phase::SampleMap { .. }) if closes_rounds => {
                     if phase.round() == first {
                         step.stage = Stage::Building;
                         return Next::Build(phase);
                     }
                 }
-                Phase::Splat { .. } | Phase::Gather { .. } => step.stage = Stage::Complete(None),
+                Phase::Splat { .. } | Phase::Gather { .. } | Phase::SampleMap { .. } => {
+                    step.stage = Stage::Complete(None)
+                }
             }
         }
         self.end_round(now)
@@ -347,8 +358,10 @@ impl Job {
             }
             let (work, input) = self.saved.take(self.first + self.window.len(), phase);
             self.totals.entry(Kind::of(phase)).or_default().add(&work);
-            if let Some(InputRef::Bootstrap(blob)) = input {
-                self.bootstrap = Some(blob);
+            match input {
+                Some(InputRef::Bootstrap(blob)) => self.bootstrap = Some(blob),
+                Some(InputRef::SampleMap(blob)) => self.sample_map = Some(blob),
+                Some(InputRef::Map(_)) | None => {}
             }
             let stage = input.map_or(Stage::Working, |input| Stage::Complete(Some(input)));
             self.window.push_back(Step { work, stage });
@@ -410,12 +423,15 @@ impl Job {
         let kind = match input {
             InputRef::Map(map) => Kind::Emission(map.kind),
             InputRef::Bootstrap(_) => Kind::Bootstrap,
+            InputRef::SampleMap(_) => Kind::SampleMap,
         };
         let is_it = |s: &&mut Step| s.stage == Stage::Building && s.round() == round && Kind::of(s.work.phase) == kind;
         let Some(step) = self.window.iter_mut().find(is_it) else { return false };
         step.stage = Stage::Complete(Some(input));
-        if let InputRef::Bootstrap(blob) = input {
-            self.bootstrap = Some(blob);
+        match input {
+            InputRef::Bootstrap(blob) => self.bootstrap = Some(blob),
+            InputRef::SampleMap(blob) => self.sample_map = Some(blob),
+            InputRef::Map(_) => {}
         }
         true
     }

@@ -89,7 +89,7 @@ impl Policy {
     pub fn lease_units(&self, phase: Phase, s: Situation) -> u64 {
         let (probe, min, max) = match phase {
             Phase::Emission { .. } => (self.probe_paths, self.min_paths, self.max_paths),
-            Phase::Bootstrap { .. } => (self.probe_paths, self.min_paths, self.max_paths),
+            Phase::Bootstrap { .. } | Phase::SampleMap { .. } => (self.probe_paths, self.min_paths, self.max_paths),
             // A tile or a unit of a splat phase runs on one thread: fewer than threads leave some idle.
             Phase::Gather { .. } | Phase::Splat { .. } => (u64::from(s.threads), 1, self.max_tiles),
         };

@@ -94,7 +94,7 @@ fn emit(worker: WorkerId, id: u64, attempt: u32, range: EmissionRange) -> Comman
     Command::Assign { worker, lease: lease(id, attempt, range, Task::Emission { round: 0, map: MapKind::Global }) }
 }
 fn gather(worker: WorkerId, id: u64, range: EmissionRange, maps: Vec<MapRef>) -> Command {
-    Command::Assign { worker, lease: lease(id, 1, range, Task::Gather { round: 0, maps }) }
+    Command::Assign { worker, lease: lease(id, 1, range, Task::Gather { round: 0, maps, sample_map: None }) }
 }
 fn prepare(worker: WorkerId) -> Command {
     Command::Prepare { worker, job: JOB }

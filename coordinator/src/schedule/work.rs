@@ -13,6 +13,8 @@ pub enum Kind {
     Emission(MapKind),
     /// Bootstrap.
     Bootstrap,
+    /// Where the samples go.
+    SampleMap,
     /// Splat.
     Splat,
     /// Gather.
@@ -25,6 +27,7 @@ impl Kind {
         match phase {
             Phase::Emission { map, .. } => Kind::Emission(map),
             Phase::Bootstrap { .. } => Kind::Bootstrap,
+            Phase::SampleMap { .. } => Kind::SampleMap,
             Phase::Splat { .. } => Kind::Splat,
             Phase::Gather { .. } => Kind::Gather,
         }

@@ -102,8 +102,9 @@ fn round(round: u32) -> Result<u32, WireError> {
     Err(WireError::invalid("round", format!("{round} is outside 0 … {} (MAX_ROUNDS)", MAX_ROUNDS - 1)))
 }
 
-fn bootstrap(b: wire::Blob) -> Result<BlobRef, WireError> {
-    WireError::check_limit("bootstrap size in bytes", b.bytes, MAX_MAP_BYTES, "MAX_MAP_BYTES")?;
+/// Something that workers read, of at most [`MAX_MAP_BYTES`].
+fn input(what: &'static str, b: wire::Blob) -> Result<BlobRef, WireError> {
+    WireError::check_limit(what, b.bytes, MAX_MAP_BYTES, "MAX_MAP_BYTES")?;
     Ok(BlobRef { digest: Digest::try_from(&b.digest[..])?, bytes: b.bytes })
 }
 
@@ -117,8 +118,9 @@ impl From<Lease> for wire::Lease {
             Task::Splat { round, bootstrap } => {
                 wire::lease::Task::Splat(wire::SplatTask { bootstrap: bootstrap.map(Into::into), round })
             }
-            Task::Gather { round, maps } => {
-                wire::lease::Task::Gather(wire::GatherTask { maps: maps.into_iter().map(Into::into).collect(), round })
+            Task::Gather { round, maps, sample_map } => {
+                let maps = maps.into_iter().map(Into::into).collect();
+                wire::lease::Task::Gather(wire::GatherTask { maps, round, sample_map: sample_map.map(Into::into) })
             }
         };
         wire::Lease {
@@ -139,13 +141,15 @@ impl TryFrom<wire::Lease> for Lease {
             wire::lease::Task::Emission(t) => Task::Emission { round: round(t.round)?, map: map_kind(t.map)? },
             wire::lease::Task::Bootstrap(_) => Task::Bootstrap,
             wire::lease::Task::Splat(t) => {
-                Task::Splat { round: round(t.round)?, bootstrap: t.bootstrap.map(bootstrap).transpose()? }
+                let bootstrap = t.bootstrap.map(|b| input("bootstrap size in bytes", b)).transpose()?;
+                Task::Splat { round: round(t.round)?, bootstrap }
             }
             wire::lease::Task::Gather(t) => {
                 let limit = MapKind::ALL.len() as u64;
                 WireError::check_limit("maps of a lease", t.maps.len() as u64, limit, "number of map kinds")?;
                 let maps = t.maps.into_iter().map(MapRef::try_from).collect::<Result<_, _>>()?;
-                Task::Gather { round: round(t.round)?, maps }
+                let sample_map = t.sample_map.map(|b| input("sample map size in bytes", b)).transpose()?;
+                Task::Gather { round: round(t.round)?, maps, sample_map }
             }
         };
         let range = range(l.first, l.end)?;

@@ -21,6 +21,7 @@ fn settings() -> RenderSettings {
         height: 4,
         camera: CameraChoice::Name("Küche".into()),
         samples: 5,
+        adaptive: false,
         seed: u64::MAX,
         max_depth: Some(6),
         photons: 7,
@@ -59,6 +60,7 @@ fn settings_survive_the_wire() {
         &settings(),
         &RenderSettings::default(),
         &RenderSettings { max_depth: None, max_radius: None, layers: Vec::new(), ..settings() },
+        &RenderSettings { adaptive: true, samples: 16, ..settings() },
         &RenderSettings { direct_from_map: true, final_gather: 0, ..RenderSettings::default() },
     ]) {
         let bytes = wire::RenderSettings::from(s).encode_to_vec();
@@ -114,7 +116,7 @@ fn messages_between_coordinator_and_worker_survive() {
     let to = [
         ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) },
         ToWorker::Lease(lease(Task::Emission { round: 65_535, map: MapKind::Global })),
-        ToWorker::Lease(lease(Task::Gather { round: 3, maps: vec![map] })),
+        ToWorker::Lease(lease(Task::Gather { round: 3, maps: vec![map], sample_map: Some(blob(6)) })),
         ToWorker::Lease(lease(Task::Bootstrap)),
         ToWorker::Lease(lease(Task::Splat { round: 3, bootstrap: None })),
         ToWorker::Lease(lease(Task::Splat { round: 0, bootstrap: Some(blob(4)) })),
@@ -194,7 +196,7 @@ fn empty_and_senseless_messages_are_refused() {
     let task = |task| Lease::try_from(wire::Lease { task: Some(task), ..Default::default() });
     let emission = |round| wire::lease::Task::Emission(wire::EmissionTask { map: 1, round });
     assert!(task(emission(65_535)).is_ok() && task(emission(65_536)).is_err());
-    let gather = |round| wire::lease::Task::Gather(wire::GatherTask { maps: Vec::new(), round });
+    let gather = |round| wire::lease::Task::Gather(wire::GatherTask { maps: Vec::new(), round, sample_map: None });
     assert!(task(gather(65_535)).is_ok() && task(gather(65_536)).is_err());
     let splat = |digest, bytes| {
         let bootstrap = Some(wire::Blob { digest: vec![0; digest].into(), bytes });
@@ -304,6 +306,7 @@ fn noise_never_panics() {
         task: Task::Gather {
             round: 1,
             maps: vec![MapRef { kind: MapKind::Caustic, digest: Digest([5; 32]), bytes: 99 }],
+            sample_map: Some(blob(4)),
         },
     };
     let prepare = ToWorker::Prepare { job: JobId(9), scene: manifest(), settings: Box::new(settings()) };

@@ -1,4 +1,5 @@
-//! Photon batches, maps, bootstraps, tiles and light images as bytes: little-endian, versioned, bounded before anything is allocated.
+//! Photon batches, maps, bootstraps, sample maps, tiles and light images as bytes: little-endian, versioned, bounded before anything is
+//! allocated.
 
 pub mod bootstrap;
 mod columns;
@@ -10,4 +11,5 @@ mod header;
 pub mod light;
 pub mod map;
 pub mod photons;
+pub mod sample_map;
 pub mod tiles;

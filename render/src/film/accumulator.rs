@@ -1,8 +1,12 @@
 //! The film in the making: the tiles and the light images of all rounds become one film, and its noise is known.
 
+mod pixels;
+
 use super::light_image::Mutations;
-use super::{Bias, Blur, ChannelSet, Film, LightImage, Tile, TileError, TileGrid};
+use super::sample_map::{Pilot, SampleMap};
+use super::{Bias, Blur, ChannelSet, Film, LightImage, MapError, Tile, TileError, TileGrid};
 use crate::settings::Layer;
+use pixels::{Counts, add_light, add_pixel, between, mean_pixel, median_around};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +27,8 @@ pub struct Accumulator {
     closed: u32,
     /// Follows the blur of the rounds, where they have any.
     blur: Option<Blur>,
+    /// Of maps that all rounds read.
+    map_errors: Vec<MapError>,
     brightness: Brightness,
     /// Of all closed rounds.
     mutations: Mutations,
@@ -32,6 +38,10 @@ pub struct Accumulator {
     standard_error: bool,
     /// Sum of the light images, where they have more planes than the image itself.
     light: Option<LightImage>,
+    /// Rounds after which it is decided where the samples of the others go.
+    pilot: Option<u32>,
+    /// What was decided.
+    sample_map: Option<SampleMap>,
 }
 
 /// Sums over rounds.
@@ -55,21 +65,10 @@ struct Sums {
     block_rounds: u32,
     /// Whole blocks.
     blocks: u32,
+    /// Samples, were all pixels alike, before the last whole block and after it.
+    last: [u64; 2],
     /// Of all rounds, Σ w x² of the colour, for the variance of the samples; empty where nobody asks.
     of_rounds: Vec<f64>,
-}
-
-impl Sums {
-    /// Variance of the mean of channel `c` of pixel `i` with `channels` channels over `samples`; `of_all` is the relative variance of the
-    /// brightness.
-    fn variance_of_mean(&self, [i, c]: [usize; 2], channels: usize, samples: f64, of_all: f64) -> f64 {
-        let value = self.values[i * channels + c];
-        // The block in the making counts in the mean, but not in its error's estimate.
-        let whole = value - self.block[i * 3 + c];
-        let between = between(self.squares[i * 3 + c], whole, samples - self.block_weight);
-        let mean = value / samples;
-        between / (f64::from(self.compared) - 1.0) / samples + of_all * mean * mean
-    }
 }
 
 /// What all pixels of an image are multiplied with, and how well it is known.
@@ -120,6 +119,7 @@ impl Accumulator {
             block_weight: 0.0,
             block_rounds: 0,
             blocks: 0,
+            last: [0; 2],
             of_rounds: vec![0.0; if has_variance { pixels * 3 } else { 0 }],
         };
         let (brightness, mutations) = (Brightness::default(), Mutations::default());
@@ -129,10 +129,13 @@ impl Accumulator {
             blocks,
             closed: 0,
             blur: None,
+            map_errors: Vec::new(),
             brightness,
             mutations,
             standard_error: false,
             light: None,
+            pilot: None,
+            sample_map: None,
             film,
         }
     }
@@ -142,9 +145,18 @@ impl Accumulator {
         let pixels = self.film.grid.width as usize * self.film.grid.height as usize;
         Accumulator { blur: Some(Blur::new(pixels, widths)), ..self }
     }
+    /// After so many rounds it is decided where the samples of the others go: [`Accumulator::sample_map`].
+    pub fn with_pilot(self, rounds: u32) -> Self {
+        Accumulator { pilot: Some(rounds), ..self }
+    }
     /// Its film will have the layer [`Layer::StandardError`].
     pub fn with_standard_error(self) -> Self {
         Accumulator { standard_error: true, ..self }
+    }
+
+    /// Takes note of the error of a map that all rounds read.
+    pub fn add_map_error(&mut self, error: Option<MapError>) {
+        self.map_errors.extend(error);
     }
 
     /// Adds a tile of the round in the making.
@@ -178,7 +190,11 @@ impl Accumulator {
     pub fn set_brightness(&mut self, brightness: Brightness) {
         self.brightness = brightness;
     }
-    /// Camera samples a pixel, chains or independent rounds of the closed rounds.
+    /// Where the samples of the rounds after the pilot go, once that is closed.
+    pub fn sample_map(&self) -> Option<&SampleMap> {
+        self.sample_map.as_ref()
+    }
+    /// Camera samples a pixel (on average), chains or independent rounds of the closed rounds.
     pub fn samples(&self) -> u64 {
         self.weights.iter().take(self.closed as usize).map(|&w| u64::from(w)).sum()
     }
@@ -219,79 +235,153 @@ impl Accumulator {
 
     /// Adds the round in the making, which is complete, to the sums.
     fn add_round(&mut self, weight: u32) {
+        let before_round = self.samples();
         self.closed += 1;
-        let samples = self.samples() as f64;
+        let samples = self.samples();
         let Some(sums) = &mut self.sums else { return };
         let rounds_of_block = self.blocks.get(sums.blocks as usize).copied().unwrap_or(u32::MAX);
         sums.block_weight += f64::from(weight);
         sums.block_rounds += 1;
         let ends_block = sums.block_rounds >= rounds_of_block;
+        let joins = ends_block && sums.compared > 1 && sums.block_weight > sums.last_weight;
+        let before_block = sums.last[1];
+        let counts = Counts(self.sample_map.as_ref());
         let (channels, n) = (&self.film.channels, self.film.channels.len());
-        let (row, width) = (self.film.grid.width as usize * n, self.film.grid.width as usize);
-        let (block_weight, weight) = (sums.block_weight, f64::from(weight));
-        let before = samples - block_weight;
-        let joins = ends_block && sums.compared > 1 && block_weight > sums.last_weight;
-        let lines = self.film.pixels.par_chunks(row).zip(sums.values.par_chunks_mut(row));
         let of_rounds = sums.of_rounds.par_chunks_exact_mut(3).zip(self.film.pixels.par_chunks(n));
-        of_rounds.for_each(|(squares, pixel)| {
+        of_rounds.enumerate().for_each(|(i, (squares, pixel))| {
+            let weight = counts.at(i, samples) - counts.at(i, before_round);
             squares.iter_mut().zip(pixel).for_each(|(s, &v)| *s += weight * f64::from(v) * f64::from(v));
         });
+        let (row, width) = (self.film.grid.width as usize * n, self.film.grid.width as usize);
+        let lines = self.film.pixels.par_chunks(row).zip(sums.values.par_chunks_mut(row));
         let blocks = sums.block.par_chunks_mut(width * 3).zip(sums.squares.par_chunks_mut(width * 3));
-        lines.zip(blocks).for_each(|((line, sums), (block, squares))| {
+        lines.zip(blocks).enumerate().for_each(|(y, ((line, sums), (block, squares)))| {
             let blocks = block.chunks_exact_mut(3).zip(squares.chunks_exact_mut(3));
-            for ((pixel, sum), (block, squares)) in line.chunks_exact(n).zip(sums.chunks_exact_mut(n)).zip(blocks) {
+            let pixels = line.chunks_exact(n).zip(sums.chunks_exact_mut(n));
+            for (x, ((pixel, sum), (block, squares))) in pixels.zip(blocks).enumerate() {
+                let [before_block, before_round, samples] =
+                    [before_block, before_round, samples].map(|even| counts.at(y * width + x, even));
+                let weight = samples - before_round;
                 add_pixel(sum, pixel, weight, channels);
                 for c in 0..3 {
                     block[c] += weight * f64::from(pixel[c]);
                     let others = sum[c] - block[c];
                     if joins {
-                        squares[c] = others * others / before;
+                        squares[c] = others * others / before_block;
                     }
-                    if ends_block {
-                        squares[c] += block[c] * block[c] / block_weight;
+                    if ends_block && samples > before_block {
+                        squares[c] += block[c] * block[c] / (samples - before_block);
                     }
                 }
             }
         });
-        if ends_block && let Some(blur) = &mut self.blur {
-            let value = |i: usize, c: usize| sums.block[i * 3 + c] / block_weight;
-            blur.add(sums.blocks, block_weight, value);
-        }
         if ends_block {
+            if let Some(blur) = &mut self.blur {
+                let value = |i: usize, c: usize| sums.block[i * 3 + c] / sums.block_weight;
+                blur.add(sums.blocks, sums.block_weight, value);
+            }
             sums.compared = if joins { 2 } else { sums.compared + 1 };
-            sums.last_weight = block_weight;
+            sums.last_weight = sums.block_weight;
+            sums.last = [before_block, samples];
             (sums.blocks, sums.block_weight, sums.block_rounds) = (sums.blocks + 1, 0.0, 0);
             sums.block.fill(0.0);
         }
         self.film.empty();
+        if self.pilot == Some(self.closed) {
+            self.sample_map = self.decide();
+        }
+    }
+
+    /// Where the samples of the rounds to come go, by what the closed ones differ: as for the noise by few large blocks, in which the
+    /// samples are as well stratified as may be.
+    fn decide(&self) -> Option<SampleMap> {
+        let (sums, n, closed) = (self.sums.as_ref()?, self.film.channels.len(), self.closed as usize);
+        let samples = self.samples() as f64;
+        let degrees = (f64::from(sums.compared) - 1.0).max(1.0);
+        let pixel = |i: usize| {
+            [0, 1, 2].map(|c| {
+                let sum = sums.values[i * n + c];
+                [sum / samples, between(sums.squares[i * 3 + c], sum, samples) / degrees]
+            })
+        };
+        let pixels: Vec<_> = (0..sums.squares.len() / 3).into_par_iter().map(pixel).collect();
+        let later = &self.weights[closed.min(self.weights.len())..];
+        // The last block may be what is left, and smaller.
+        let whole = later.split_last().map_or(later, |(_, whole)| if whole.is_empty() { later } else { whole });
+        Some(SampleMap::decide(&Pilot {
+            samples: self.samples() as u32,
+            of: self.weights.iter().map(|&w| u64::from(w)).sum(),
+            least_block: whole.iter().copied().min()?,
+            width: self.film.grid.width as usize,
+            pixels: &pixels,
+        }))
     }
 
     /// Mean of the values of all pixels and channels of the closed rounds.
     fn mean_value(&self) -> Option<f64> {
-        let (sums, samples) = (self.sums.as_ref()?, self.samples() as f64);
+        let (sums, samples, counts) = (self.sums.as_ref()?, self.samples(), self.counts());
         let (n, row) = (self.film.channels.len(), self.film.grid.width as usize);
         // Rows are summed by themselves and then in order: the same bits for any number of threads.
-        let rows = sums.values.par_chunks(row * n);
-        let totals: Vec<f64> =
-            rows.map(|r| r.chunks_exact(n).map(|v| v[..3].iter().sum::<f64>()).sum::<f64>() / samples).collect();
+        let mean = |(y, values): (usize, &[f64])| {
+            let pixels = values.chunks_exact(n).enumerate();
+            pixels.map(|(x, v)| v[..3].iter().sum::<f64>() / counts.at(y * row + x, samples)).sum::<f64>()
+        };
+        let totals: Vec<f64> = sums.values.par_chunks(row * n).enumerate().map(mean).collect();
         Some((totals.iter().sum::<f64>() / (sums.squares.len() as f64).max(1.0)).abs())
+    }
+
+    fn counts(&self) -> Counts<'_> {
+        Counts(self.sample_map.as_ref())
+    }
+
+    /// Variance of the mean of channel `c` of pixel `i`, but for the brightness's factor; infinite where nothing can be compared.
+    fn variance_of_mean(&self, sums: &Sums, [i, c]: [usize; 2]) -> f64 {
+        let (n, counts) = (self.film.channels.len(), self.counts());
+        let [before_last, whole, samples] = [sums.last[0], sums.last[1], self.samples()].map(|even| counts.at(i, even));
+        // A small last block may have nothing of this pixel.
+        let compared = sums.compared - u32::from(before_last == whole);
+        if compared < 2 {
+            return f64::INFINITY;
+        }
+        let value = sums.values[i * n + c];
+        // The block in the making counts in the mean, but not in its error's estimate.
+        let between = between(sums.squares[i * 3 + c], value - sums.block[i * 3 + c], whole);
+        let mean = value / samples;
+        between / (f64::from(compared) - 1.0) / samples + self.brightness.relative_variance * mean * mean
     }
 
     /// Whether its rounds are blurred, so that there is a bias.
     pub fn is_blurred(&self) -> bool {
-        self.blur.is_some()
+        self.blur.is_some() || !self.map_errors.is_empty()
     }
 
     /// The bias of the mean of the closed rounds, where they are blurred and there are enough.
     pub fn bias(&self) -> Option<Bias> {
-        self.blur.as_ref()?.bias(self.mean_value()?)
+        if let Some(blur) = &self.blur {
+            return blur.bias(self.mean_value()?);
+        }
+        let [_, [absolute, relative]] = self.map_roots(self.mean_value()?)?;
+        Some(Bias { absolute, relative })
+    }
+
+    /// Noise and bias, in radiance and relative, that maps bring into all rounds: of several the root of their sum of squares.
+    fn map_roots(&self, mean: f64) -> Option<[[f64; 2]; 2]> {
+        let (sums, samples, counts) = (self.sums.as_ref()?, self.samples(), self.counts());
+        let (n, size) = (self.film.channels.len(), [self.film.grid.width as usize, self.film.grid.height as usize]);
+        let value = |i: usize, c: usize| sums.values[i * n + c] / counts.at(i, samples);
+        let scale = |i: usize, c: usize| {
+            let near = median_around(|i| value(i, c), size, [i % size[0], i / size[0]]);
+            value(i, c).abs().max(near).max(mean)
+        };
+        let roots = self.map_errors.iter().map(|e| e.roots(scale));
+        roots.reduce(|a, b| [0, 1].map(|i| [0, 1].map(|j| root_of_squares(a[i][j], b[i][j]))))
     }
 
     /// The noise of the mean of the closed rounds, by what its blocks differ; `None` for fewer than two, or for
     /// Markov chains of fewer mutations than pixels.
     pub fn noise(&self) -> Option<Noise> {
         let sums = self.sums.as_ref()?;
-        let (samples, n) = (self.samples() as f64, self.film.channels.len());
+        let (samples, n) = (self.samples(), self.film.channels.len());
         // Chains that have not even had a step for each pixel do not know what they have not seen.
         let pixels = u64::from(self.film.grid.width) * u64::from(self.film.grid.height);
         let unseen = self.mutations.total() > 0 && self.mutations.total() < pixels;
@@ -299,17 +389,18 @@ impl Accumulator {
             return None;
         }
         let size = [self.film.grid.width as usize, self.film.grid.height as usize];
-        let (mean, of_all) = (self.mean_value()?, self.brightness.relative_variance);
+        let (mean, counts) = (self.mean_value()?, self.counts());
+        let value = |i: usize, c: usize| sums.values[i * n + c] / counts.at(i, samples);
         let row = |y: usize| {
             let mut total = [0.0; 2];
             for (x, c) in (0..size[0]).flat_map(|x| (0..3).map(move |c| (x, c))) {
-                let variance = sums.variance_of_mean([y * size[0] + x, c], n, samples, of_all);
+                let variance = self.variance_of_mean(sums, [y * size[0] + x, c]);
                 if variance > 0.0 {
-                    // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own
-                    // noise. Not all of the variance is taken off, so that a single pixel has no more than twice its value.
-                    let own = sums.values[(y * size[0] + x) * n + c] / samples;
-                    let own = own * own - 0.75 * variance;
-                    let near = median_around(&sums.values, size, n, [x, y], c) / samples;
+                    // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own noise, and a
+                    // pixel that has only one is worth what those around it are.
+                    let own = value(y * size[0] + x, c);
+                    let own = own * own - variance;
+                    let near = median_around(|i| value(i, c), size, [x, y]);
                     total = [total[0] + variance, total[1] + variance / own.max(near * near).max(mean * mean)];
                 }
             }
@@ -319,22 +410,24 @@ impl Accumulator {
         let total = rows.iter().fold([0.0; 2], |sum, r| [sum[0] + r[0], sum[1] + r[1]]);
         let count = (sums.squares.len() as f64).max(1.0);
         let [absolute, relative] = total.map(|sum| (sum / count).sqrt());
-        Some(Noise { standard_error: absolute * self.brightness.factor, relative })
+        let [of_maps, _] = self.map_roots(mean).unwrap_or_default();
+        let standard_error = root_of_squares(absolute, of_maps[0]) * self.brightness.factor;
+        Some(Noise { standard_error, relative: root_of_squares(relative, of_maps[1]) })
     }
 
     /// The film over the closed rounds: their mean, weighted by their samples, times the brightness; and the layers of the light
     /// images.
     pub fn finish(mut self) -> Film {
-        let (samples, rounds) = (self.samples() as f64, self.closed);
-        let sums = self.sums.take();
-        if let Some(sums) = &sums {
-            let n = self.film.channels.len();
+        let (samples, rounds) = (self.samples(), f64::from(self.closed));
+        let errors = self.standard_error.then(|| self.standard_errors());
+        if let Some(sums) = self.sums.take() {
+            let (n, counts) = (self.film.channels.len(), Counts(self.sample_map.as_ref()));
             let channels = self.film.channels.clone();
             let pixels = self.film.pixels.par_chunks_mut(n).zip(sums.values.par_chunks(n));
             let squares = &sums.of_rounds;
             pixels.enumerate().for_each(|(i, (pixel, sum))| {
                 let squares = squares.get(i * 3..i * 3 + 3).unwrap_or(&[0.0; 3]);
-                mean_pixel(pixel, sum, squares, [samples, f64::from(rounds)], &channels);
+                mean_pixel(pixel, sum, squares, [counts.at(i, samples), rounds], &channels);
             });
         }
         if self.brightness != Brightness::default() {
@@ -342,107 +435,37 @@ impl Accumulator {
             let colors = self.film.pixels.par_chunks_mut(n).flat_map_iter(|pixel| &mut pixel[..3]);
             colors.for_each(|v| *v = (f64::from(*v) * factor) as f32);
         }
-        if self.standard_error {
-            let (n, width) = (ChannelSet::of_tiles(self.film.channels.layers()).len(), self.film.grid.width as usize);
-            let Brightness { factor, relative_variance } = self.brightness;
-            self.film.append(Layer::StandardError, |x, y, pixel| {
-                let i = y as usize * width + x as usize;
-                pixel.extend((0..3).map(|c| match &sums {
-                    Some(sums) if sums.compared > 1 => {
-                        let variance = sums.variance_of_mean([i, c], n, samples, relative_variance);
-                        (factor * variance.sqrt()) as f32
-                    }
-                    _ => f32::INFINITY,
-                }));
-            });
+        if let Some(errors) = errors {
+            let width = self.film.grid.width as usize;
+            self.film.append(Layer::StandardError, |x, y, pixel| pixel.extend(errors[y as usize * width + x as usize]));
         }
         if let Some(light) = self.light.take() {
             self.film.append(Layer::Strategies, |x, y, pixel| {
                 for plane in 1..light.planes() {
-                    pixel.extend(light.value(plane, x, y).map(|v| (v / samples) as f32));
+                    pixel.extend(light.value(plane, x, y).map(|v| (v / samples as f64) as f32));
                 }
             });
         }
         self.film.fill();
         self.film
     }
-}
 
-/// Layers that are means over hits: their sums are weighted by the share of hits, the alpha of the round.
-fn is_per_hit(layer: Layer) -> bool {
-    matches!(layer, Layer::Albedo | Layer::Normal | Layer::Depth | Layer::Position)
-}
-
-/// Σ w (x − m)² from Σ w x² and Σ w x, with Σ w = `samples`.
-fn between(squares: f64, values: f64, samples: f64) -> f64 {
-    (squares - values * values / samples).max(0.0)
-}
-
-/// The middle one of |value| of channel `c` in the 3 × 3 pixels around (x, y): what a pixel is worth when it is a lucky one.
-fn median_around(values: &[f64], [width, height]: [usize; 2], n: usize, [x, y]: [usize; 2], c: usize) -> f64 {
-    let mut near = [0.0f64; 9];
-    for (i, v) in near.iter_mut().enumerate() {
-        let (x, y) = ((x + i % 3).saturating_sub(1).min(width - 1), (y + i / 3).saturating_sub(1).min(height - 1));
-        *v = values[(y * width + x) * n + c].abs();
-    }
-    near.sort_unstable_by(f64::total_cmp);
-    near[4]
-}
-
-fn add_pixel(sum: &mut [f64], pixel: &[f32], weight: f64, channels: &ChannelSet) {
-    for (s, &v) in sum[..4].iter_mut().zip(pixel) {
-        *s += weight * f64::from(v);
-    }
-    let mut at = 4;
-    for &layer in channels.layers() {
-        let end = at + layer.width();
-        let weight = match layer {
-            // A pixel that hit nothing has an infinite depth, which counts nothing.
-            _ if is_per_hit(layer) => weight * f64::from(pixel[3]),
-            Layer::Variance => weight - 1.0,
-            Layer::Samples => 1.0,
-            _ => weight,
+    /// The standard error of each pixel's channels.
+    fn standard_errors(&self) -> Vec<[f32; 3]> {
+        let pixels = self.film.grid.width as usize * self.film.grid.height as usize;
+        let error = |i: usize, c: usize| match &self.sums {
+            Some(sums) if sums.compared > 1 => {
+                (self.brightness.factor * self.variance_of_mean(sums, [i, c]).sqrt()) as f32
+            }
+            _ => f32::INFINITY,
         };
-        if weight > 0.0 {
-            sum[at..end].iter_mut().zip(&pixel[at..end]).for_each(|(s, &v)| *s += weight * f64::from(v));
-        }
-        at = end;
+        (0..pixels).into_par_iter().map(|i| [0, 1, 2].map(|c| error(i, c))).collect()
     }
 }
 
-fn mean_pixel(pixel: &mut [f32], sum: &[f64], squares: &[f64], [samples, rounds]: [f64; 2], channels: &ChannelSet) {
-    let samples = samples.max(1.0);
-    for (p, s) in pixel[..4].iter_mut().zip(sum) {
-        *p = (s / samples) as f32;
-    }
-    let mut at = 4;
-    for &layer in channels.layers() {
-        let end = at + layer.width();
-        for (c, (p, s)) in pixel[at..end].iter_mut().zip(&sum[at..end]).enumerate() {
-            *p = match layer {
-                Layer::Depth if sum[3] == 0.0 => f32::INFINITY,
-                _ if is_per_hit(layer) => (s / if sum[3] > 0.0 { sum[3] } else { 1.0 }) as f32,
-                // Within rounds and between them (Chan et al. 1979).
-                Layer::Variance => {
-                    let between = if rounds > 1.0 { between(squares[c], sum[c], samples) } else { 0.0 };
-                    ((s + between) / (samples - 1.0).max(1.0)) as f32
-                }
-                Layer::Samples => *s as f32,
-                _ => (s / samples) as f32,
-            };
-        }
-        at = end;
-    }
-}
-
-fn add_light(film: &mut Film, light: &LightImage, scale: f64) {
-    let (width, n) = (film.grid.width, film.channels.len());
-    film.pixels.par_chunks_exact_mut(n).enumerate().for_each(|(i, pixel)| {
-        let value = light.value(0, i as u32 % width, i as u32 / width);
-        for (p, v) in pixel[..3].iter_mut().zip(value) {
-            *p = (f64::from(*p) + v * scale) as f32;
-        }
-    });
+/// Of errors that are independent of each other. No platform's `hypot`, whose last bit differs.
+fn root_of_squares(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
 }
 
 #[cfg(test)]

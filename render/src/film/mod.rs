@@ -6,6 +6,8 @@ pub mod channels;
 pub mod compare;
 pub mod image;
 pub mod light_image;
+pub mod map_error;
+pub mod sample_map;
 pub mod tile;
 
 pub use accumulator::{Accumulator, Brightness, Noise};
@@ -13,4 +15,6 @@ pub use blur::{Bias, Blur};
 pub use channels::ChannelSet;
 pub use image::Image;
 pub use light_image::LightImage;
+pub use map_error::MapError;
+pub use sample_map::SampleMap;
 pub use tile::{Film, Tile, TileError, TileGrid, TileRect};

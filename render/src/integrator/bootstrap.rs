@@ -7,6 +7,8 @@ pub struct Bootstrap {
     weights: Vec<f32>,
     /// Sums up to and including each weight, in f64 and in order.
     cumulative: Vec<f64>,
+    /// Sum of the squares of the weights over their mean.
+    relative_squares: f64,
 }
 
 impl Bootstrap {
@@ -16,14 +18,17 @@ impl Bootstrap {
             *w = if w.is_finite() { w.max(0.0) } else { 0.0 };
         }
         let mut sum = 0.0;
-        let cumulative = weights
+        let cumulative: Vec<f64> = weights
             .iter()
             .map(|&w| {
                 sum += f64::from(w);
                 sum
             })
             .collect();
-        Bootstrap { weights, cumulative }
+        let mean = sum / weights.len().max(1) as f64;
+        let square = |&w: &f32| f64::from(w) / mean * (f64::from(w) / mean);
+        let relative_squares = if mean > 0.0 { weights.iter().map(square).sum() } else { 0.0 };
+        Bootstrap { weights, cumulative, relative_squares }
     }
     /// The luminances.
     pub fn weights(&self) -> &[f32] {
@@ -36,6 +41,10 @@ impl Bootstrap {
     /// Mean of the luminances; 0 without paths.
     pub fn mean(&self) -> f64 {
         self.sum() / self.weights.len().max(1) as f64
+    }
+    /// Sum of the squares of the luminances over their mean; 0 where all are black.
+    pub fn relative_squares(&self) -> f64 {
+        self.relative_squares
     }
     /// The path that `u` in [0, 1) chooses in proportion to its luminance; `None` when all are black.
     pub fn sample(&self, u: f64) -> Option<u64> {

@@ -108,8 +108,7 @@ impl<'a> Mlt<'a> {
         if mean <= 0.0 {
             return Brightness::default();
         }
-        let square = |&w: &f32| f64::from(w) / mean * (f64::from(w) / mean);
-        let squares: f64 = bootstrap.weights().iter().map(square).sum();
+        let squares = bootstrap.relative_squares();
         let count = (first + steps).max(1.0);
         let factor = (first + mutations.large_sum()) / count;
         let variance = ((squares + mutations.large_squares()) / count - factor * factor).max(0.0) / count;

@@ -12,6 +12,7 @@ pub mod bdpt;
 pub mod bootstrap;
 pub mod connect;
 pub mod direct;
+pub mod map_error;
 pub mod mlt;
 pub mod path;
 pub mod photon_map;

@@ -39,14 +39,65 @@ pub struct GatherSettings {
     pub direct_from_map: bool,
 }
 
+/// How the light of a map is read around a point with a normal.
+pub trait Reading {
+    /// Irradiance, where it is looked at.
+    fn irradiance(
+        &self,
+        map: &PhotonMap,
+        position: Vec3,
+        normal: Vec3,
+        gather: &Gather,
+        buffer: &mut NeighbourBuffer,
+    ) -> Rgb;
+    /// Irradiance, where a final-gather ray arrives.
+    fn precomputed(
+        &self,
+        map: &PhotonMap,
+        position: Vec3,
+        normal: Vec3,
+        gather: &Gather,
+        buffer: &mut NeighbourBuffer,
+    ) -> Rgb;
+}
+
+/// All photons; precomputed nearby for final gather (Christensen 1999).
+#[derive(Clone, Copy, Debug)]
+pub struct Whole;
+
+impl Reading for Whole {
+    fn irradiance(
+        &self,
+        map: &PhotonMap,
+        position: Vec3,
+        normal: Vec3,
+        gather: &Gather,
+        buffer: &mut NeighbourBuffer,
+    ) -> Rgb {
+        estimate::irradiance_into(map, position, normal, gather, buffer).irradiance
+    }
+    fn precomputed(
+        &self,
+        map: &PhotonMap,
+        position: Vec3,
+        normal: Vec3,
+        gather: &Gather,
+        buffer: &mut NeighbourBuffer,
+    ) -> Rgb {
+        map.precomputed(gather.k).irradiance(map, position, normal, gather, buffer)
+    }
+}
+
 /// One gather pass over one scene and its maps.
-pub struct PhotonGather<'a> {
+pub struct PhotonGather<'a, R = Whole> {
     /// The scene.
     pub scene: &'a Scene,
     /// The maps; a missing one holds no light.
     pub maps: &'a PhotonMaps,
     /// How they are read.
     pub settings: GatherSettings,
+    /// What is read of the maps.
+    pub reading: R,
     /// Memory of the neighbour searches, reused from call to call.
     pub buffer: NeighbourBuffer,
 }
@@ -159,7 +210,7 @@ struct Vertex<'v> {
     interior: Interior,
 }
 
-impl PhotonGather<'_> {
+impl<R: Reading> PhotonGather<'_, R> {
     /// Radiance along `camera_ray`.
     pub fn trace(&mut self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
         let (mut sample, mut tree) = (Sample::default(), RayTree { waiting: Vec::new(), splits: MAX_SPLITS });
@@ -343,14 +394,14 @@ impl PhotonGather<'_> {
     }
 
     fn irradiance(&mut self, map: &PhotonMap, position: Vec3, normal: Vec3, gather: &Gather) -> Rgb {
-        estimate::irradiance_into(map, position, normal, gather, &mut self.buffer).irradiance
+        self.reading.irradiance(map, position, normal, gather, &mut self.buffer)
     }
 
-    /// Irradiance precomputed near the point (Christensen 1999).
+    /// Irradiance where a final-gather ray arrives.
     fn precomputed(&mut self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
         let gather = &self.settings.global;
         let normal = facing(point.ng, wo);
-        map.precomputed(gather.k).irradiance(map, point.position, normal, gather, &mut self.buffer)
+        self.reading.precomputed(map, point.position, normal, gather, &mut self.buffer)
     }
 }
 

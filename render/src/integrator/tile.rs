@@ -1,7 +1,7 @@
 //! The pixel and sample loop of one tile.
 
 use super::Sample;
-use crate::film::{ChannelSet, Tile, TileRect};
+use crate::film::{ChannelSet, SampleMap, Tile, TileRect};
 use crate::geometry::Ray;
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Rgb};
@@ -19,6 +19,28 @@ pub struct SampleId {
     pub sample: u32,
 }
 
+/// Which camera samples of each pixel.
+#[derive(Clone, Debug)]
+pub struct Samples<'a> {
+    /// Their numbers, were all pixels alike.
+    pub even: Range<u32>,
+    /// How they are not.
+    pub map: Option<&'a SampleMap>,
+}
+
+impl Samples<'_> {
+    #[inline]
+    fn of(&self, pixel: u64) -> Range<u32> {
+        self.map.map_or_else(|| self.even.clone(), |map| map.range(pixel as usize, &self.even))
+    }
+}
+
+impl From<Range<u32>> for Samples<'_> {
+    fn from(even: Range<u32>) -> Self {
+        Samples { even, map: None }
+    }
+}
+
 /// Renders the pixels of `rect` (tile `index`): `trace` gives the radiance of each camera sample. See [`render_numbered`].
 #[allow(clippy::too_many_arguments)] // what a pixel depends on, spelled out
 pub fn render(
@@ -27,7 +49,7 @@ pub fn render(
     settings: &RenderSettings,
     camera: &Camera,
     space: &SceneSpace,
-    samples: Range<u32>,
+    samples: Samples<'_>,
     mut trace: impl FnMut(Ray, &mut Sampler) -> Sample,
 ) -> Tile {
     render_numbered(index, rect, settings, camera, space, samples, |_, ray, sampler| trace(ray, sampler))
@@ -43,7 +65,7 @@ pub fn render_numbered(
     settings: &RenderSettings,
     camera: &Camera,
     space: &SceneSpace,
-    samples: Range<u32>,
+    samples: Samples<'_>,
     mut trace: impl FnMut(SampleId, Ray, &mut Sampler) -> Sample,
 ) -> Tile {
     let channels = ChannelSet::of_tiles(&settings.layers);
@@ -57,7 +79,7 @@ pub fn render_numbered(
         for x in rect.x..rect.x + rect.width {
             let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
             let mut sums = PixelSums::default();
-            for s in samples.clone() {
+            for s in samples.of(pixel) {
                 let mut sampler = Sampler::new(settings.seed, Purpose::Camera, 0, pixel, u64::from(s));
                 let [dx, dy] = sampler.next_2d();
                 let id = SampleId { pixel, sample: s };
@@ -183,7 +205,7 @@ mod tests {
         let calls = std::cell::Cell::new(0);
         let rect = TileRect { x: 0, y: 0, width: 2, height: 1 };
         let s = settings(&[Layer::Variance, Layer::Samples]);
-        let tile = render(0, rect, &s, &camera, &space, 0..4, |_, _| {
+        let tile = render(0, rect, &s, &camera, &space, (0..4).into(), |_, _| {
             calls.set(calls.get() + 1);
             let v = if calls.get() == 3 { f32::NAN } else { calls.get() as f32 };
             Sample { direct: Rgb::splat(v), ..Default::default() }

@@ -22,6 +22,8 @@ pub enum Purpose {
     Bootstrap = 7,
     /// Roulette over the connections of bidirectional methods.
     Connection = 8,
+    /// Camera samples that look for the error of a photon map.
+    MapError = 9,
     /// Tests.
     Test = 99,
 }

@@ -157,6 +157,18 @@ pub fn irradiance_weighted(
     estimate(map, position, normal, gather, buffer, |i| weight(map.direction(i).unwrap_or_else(|| map.normal(i))))
 }
 
+/// [`irradiance_into`] with each photon weighted by `weight` of its number in the map.
+pub fn irradiance_by(
+    map: &PhotonMap,
+    position: Vec3,
+    normal: Vec3,
+    gather: &Gather,
+    buffer: &mut NeighbourBuffer,
+    weight: impl FnMut(u32) -> f32,
+) -> Estimate {
+    estimate(map, position, normal, gather, buffer, weight)
+}
+
 /// Irradiance from all photons of the surface within `radius_squared`, whatever their number.
 pub fn irradiance_within(
     map: &PhotonMap,

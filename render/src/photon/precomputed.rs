@@ -118,7 +118,7 @@ fn stride(k: u32) -> u32 {
 }
 
 /// How the photons around a site are gathered.
-fn effective(gather: &Gather) -> Gather {
+pub(crate) fn effective(gather: &Gather) -> Gather {
     Gather { k: gather.k.max(MIN_PRECOMPUTED_K), kernel: Kernel::Constant, ..*gather }
 }
 

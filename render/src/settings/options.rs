@@ -10,6 +10,8 @@ use crate::error::SettingsError;
 pub enum Setting {
     /// [`RenderSettings::samples`].
     Samples,
+    /// [`RenderSettings::adaptive`].
+    Adaptive,
     /// [`RenderSettings::max_depth`].
     MaxDepth,
     /// [`RenderSettings::photons`].
@@ -48,8 +50,9 @@ pub enum Setting {
 
 impl Setting {
     /// All, in the order headers and help texts name them.
-    pub const ALL: [Setting; 18] = [
+    pub const ALL: [Setting; 19] = [
         Setting::Samples,
+        Setting::Adaptive,
         Setting::MaxDepth,
         Setting::Photons,
         Setting::CausticPhotons,
@@ -73,6 +76,7 @@ impl Setting {
     pub const fn name(self) -> &'static str {
         match self {
             Setting::Samples => "samples",
+            Setting::Adaptive => "adaptive",
             Setting::MaxDepth => "max-depth",
             Setting::Photons => "photons",
             Setting::CausticPhotons => "caustic-photons",
@@ -97,6 +101,7 @@ impl Setting {
     pub fn value(self, s: &RenderSettings) -> Option<String> {
         Some(match self {
             Setting::Samples => s.samples.to_string(),
+            Setting::Adaptive => s.adaptive.then(String::new)?,
             Setting::MaxDepth => s.max_depth?.to_string(),
             Setting::Photons => s.photons.to_string(),
             Setting::CausticPhotons => s.caustic_photons.to_string(),
@@ -137,10 +142,12 @@ impl Method {
     pub const fn options(self) -> &'static [Setting] {
         use Setting as S;
         match self {
-            Method::Whitted | Method::Path | Method::Bdpt => &[S::Samples, S::MaxDepth],
+            Method::Whitted | Method::Bdpt => &[S::Samples, S::MaxDepth],
+            Method::Path => &[S::Samples, S::Adaptive, S::MaxDepth],
             Method::Mlt => &[S::MaxDepth, S::Mutations, S::Chains, S::Bootstrap, S::LargeStep],
             Method::Photon => &[
                 S::Samples,
+                S::Adaptive,
                 S::Photons,
                 S::CausticPhotons,
                 S::K,
@@ -349,7 +356,7 @@ mod tests {
         let refused = |m: Method, s| m.refuse_unused(&[Setting::MaxDepth, s]).map_err(|e| e.to_string());
         assert_eq!(
             refused(Method::Path, Setting::K),
-            Err("--k: not used by method path, which takes --samples and --max-depth".into())
+            Err("--k: not used by method path, which takes --samples, --adaptive and --max-depth".into())
         );
         assert_eq!(refused(Method::Path, Setting::Samples), Ok(()));
         let error = Method::Mlt.refuse_unused(&[Setting::Samples]).unwrap_err().to_string();

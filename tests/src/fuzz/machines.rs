@@ -243,6 +243,7 @@ fn built(job: JobId, phase: Phase, choices: &mut Choices) -> Event {
             Event::Built { job, round, input }
         }
         Phase::Bootstrap { .. } => Event::Built { job, round, input: InputRef::Bootstrap(blob) },
+        Phase::SampleMap { .. } => Event::Built { job, round, input: InputRef::SampleMap(blob) },
         Phase::Gather { .. } | Phase::Splat { .. } => {
             Event::Closed { job, round, is_good_enough: choices.below(8) == 0 }
         }

@@ -92,7 +92,7 @@ fn messages() -> Vec<Vec<u8>> {
         ToWorker::Lease(lease(Task::Emission { round: 1, map: MapKind::Caustic })),
         ToWorker::Lease(lease(Task::Bootstrap)),
         ToWorker::Lease(lease(Task::Splat { round: 0, bootstrap: Some(blob) })),
-        ToWorker::Lease(lease(Task::Gather { round: 0, maps })),
+        ToWorker::Lease(lease(Task::Gather { round: 0, maps, sample_map: Some(blob) })),
         ToWorker::Revoke(LeaseId(3)),
         ToWorker::Forget(JobId(4)),
         ToWorker::Route(route.clone()),

@@ -43,6 +43,7 @@ impl World<'_> {
         let input = match phase {
             Phase::Emission { map, .. } => Some(InputRef::Map(MapRef { kind: map, digest, bytes: 1 })),
             Phase::Bootstrap { .. } => Some(InputRef::Bootstrap(BlobRef { digest, bytes: 1 })),
+            Phase::SampleMap { .. } => Some(InputRef::SampleMap(BlobRef { digest, bytes: 1 })),
             Phase::Gather { .. } | Phase::Splat { .. } => None,
         };
         let number = self.next_entry;

@@ -13,7 +13,7 @@ use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::connect::{Stamp, reason};
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, RelayAddress, SessionKey, Task, ToWorker};
-use gatherlight_render::job::{Inputs, PhotonMaps};
+use gatherlight_render::job::Inputs;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -306,13 +306,17 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
                 None => None,
             };
             drop(held);
-            let inputs = Inputs { maps: PhotonMaps::default(), bootstrap };
+            let inputs = Inputs { bootstrap, ..Inputs::default() };
             executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await?
         }
-        Task::Gather { round, maps: wanted } => {
+        Task::Gather { round, maps: wanted, sample_map } => {
             let maps = held.maps(lease.job, wanted, remote, executor).await?;
+            let sample_map = match *sample_map {
+                Some(wanted) => Some(held.sample_map(lease.job, wanted, &prepared, remote).await?),
+                None => None,
+            };
             drop(held);
-            let (inputs, round) = (Inputs { maps, bootstrap: None }, *round);
+            let (inputs, round) = (Inputs { maps, sample_map, bootstrap: None }, *round);
             executor.run(move || gather::compute(&prepared, &inputs, round, range)).await
         }
     }

@@ -27,7 +27,7 @@ fn emission(round: u32) -> Task {
     Task::Emission { round, map: MapKind::Global }
 }
 fn tiles(round: u32) -> Task {
-    Task::Gather { round, maps: vec![map(round)] }
+    Task::Gather { round, maps: vec![map(round)], sample_map: None }
 }
 fn splat(round: u32) -> Task {
     Task::Splat { round, bootstrap: Some(BOOTSTRAP) }
@@ -160,7 +160,7 @@ fn passes_over_the_pixels_all_read_the_maps_of_the_first_round() {
     let mut b = submit(policy(), phases, Limits::default());
     b.join(A);
     b.complete(A, 1);
-    let pass = |id, round| give(A, id, range(0, 1), Task::Gather { round, maps: vec![map(0)] });
+    let pass = |id, round| give(A, id, range(0, 1), Task::Gather { round, maps: vec![map(0)], sample_map: None });
     assert_eq!(b.event(built(0, map(0))), [pass(2, 0)]);
     for round in 0..3 {
         let id = u64::from(round) + 2;
@@ -170,6 +170,27 @@ fn passes_over_the_pixels_all_read_the_maps_of_the_first_round() {
     }
     assert_eq!(b.complete(A, 5), [accept(5), close(3, 1)]);
     assert_eq!(b.event(closed(3)), [assemble(4, 0, None)]);
+}
+
+#[test]
+fn a_sample_map_is_made_of_closed_rounds_and_read_by_all_to_come() {
+    let gather = |round| Phase::Gather { round, tiles: 1 };
+    let decide = Phase::SampleMap { round: 1 };
+    let mut b = submit(policy(), vec![gather(0), decide, gather(1), gather(2)], Limits::default());
+    b.join(A);
+    b.join(B);
+    assert_eq!(b.complete(A, 1), [accept(1), close(0, 1)]);
+    // Nothing to do before it is there.
+    assert_eq!(b.event(closed(0)), [Command::Build { job: JOB, phase: decide }]);
+    let made = Event::Built { job: JOB, round: 1, input: InputRef::SampleMap(BOOTSTRAP) };
+    let pass = |round| Task::Gather { round, maps: vec![], sample_map: Some(BOOTSTRAP) };
+    let prepare = Command::Prepare { worker: B, job: JOB };
+    assert_eq!(b.event(made.clone()), [give(A, 2, range(0, 1), pass(1)), prepare, give(B, 3, range(0, 1), pass(2))]);
+    assert_eq!(b.event(made), []);
+    assert_eq!(b.complete(A, 2), [accept(2), close(1, 1)]);
+    assert_eq!(b.event(closed(1)), []);
+    assert_eq!(b.complete(B, 3), [accept(3), close(2, 1)]);
+    assert_eq!(b.event(closed(2)), [assemble(3, 0, None)]);
 }
 
 #[test]

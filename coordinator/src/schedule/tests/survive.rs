@@ -20,7 +20,7 @@ fn completed(b: &mut Bench, worker: WorkerId, lease: u64, attempt: u32, digest: 
     b.event(Event::Completed { worker, lease, attempt, range, busy, stored: 0, digest })
 }
 fn gather() -> Task {
-    Task::Gather { round: 0, maps: Vec::new() }
+    Task::Gather { round: 0, maps: Vec::new(), sample_map: None }
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn a_job_goes_on_where_an_earlier_coordinator_stopped() {
     assert_eq!(total(&b, Kind::Gather), work::Total { units: 5, stored: 0 });
     assert_eq!(total(&b, Kind::Emission(MapKind::Global)), work::Total { units: 50, stored: 15 });
     let maps = vec![MapRef { digest: Digest([1; 32]), ..GLOBAL }];
-    let task = Task::Gather { round: 1, maps };
+    let task = Task::Gather { round: 1, maps, sample_map: None };
     let given = b.join(A);
     assert_eq!(given[1], Command::Assign { worker: A, lease: lease(1, 1, range(0, 1), task.clone()) });
     let said = b.complete(A, 1);
@@ -140,7 +140,7 @@ fn maps_that_later_rounds_read_are_there_after_a_restart() {
     let mut b = Bench::new(policy());
     let terms = Box::new(Terms { saved, ..Terms::default() });
     b.event(Event::Submitted { job: JOB, phases, terms });
-    let task = Task::Gather { round: 2, maps: vec![GLOBAL] };
+    let task = Task::Gather { round: 2, maps: vec![GLOBAL], sample_map: None };
     assert_eq!(b.join(A)[1], Command::Assign { worker: A, lease: lease(1, 1, range(0, 1), task) });
     let said = b.complete(A, 1);
     assert_eq!(said[1], Command::Build { job: JOB, phase: Phase::Gather { round: 2, tiles: 1 } });

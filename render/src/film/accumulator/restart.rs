@@ -8,6 +8,9 @@ impl Accumulator {
         let sums = self.sums.iter().map(|s| s.lengths().iter().sum::<usize>() * 8).sum::<usize>();
         sums + self.film.pixels.len() * 4 + self.weights.len() * 8
     }
+    fn pixels(&self) -> usize {
+        self.film.grid.width as usize * self.film.grid.height as usize
+    }
     /// Whether it can go on as what `fresh`, the same job's before its first round, would have become.
     pub fn continues(&self, fresh: &Accumulator) -> bool {
         let shape = |a: &Accumulator| a.sums.as_ref().map(Sums::lengths);
@@ -19,6 +22,9 @@ impl Accumulator {
             && self.blur.is_some() == fresh.blur.is_some()
             && self.standard_error == fresh.standard_error
             && shape(self) == shape(fresh)
+            && self.pilot == fresh.pilot
+            && self.sample_map.is_some() == self.pilot.is_some_and(|rounds| self.closed >= rounds)
+            && self.sample_map.as_ref().is_none_or(|m| m.is_even() || m.densities().len() == self.pixels())
             && self.closed as usize <= self.weights.len()
     }
 }
