@@ -192,7 +192,7 @@ fn without_a_count_a_limit_is_the_end() {
     let dir = triangle_dir();
     let small = "--photons 2k --caustic-photons 2k";
     // Far more than the default number of samples fits into the time.
-    for (method, options) in [("path", ""), ("photon", small), ("mlt", "--bootstrap 100 --chains 16")] {
+    for (method, options) in [("path", ""), ("photon", small), ("mlt", "--bootstrap 100")] {
         let limited = format!("render triangle.gltf -o x.exr --method {method} --height 16 {options}");
         let run_with = |more: &str| {
             let run = run(dir.path(), &format!("{limited} {more} --json"));

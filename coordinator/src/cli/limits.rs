@@ -13,7 +13,7 @@ use std::time::Duration;
 #[command(next_help_heading = "Run")]
 pub(super) struct LimitArgs {
     /// Begin no further round after this time, e.g. 30s, 5m or 1h30m, and make the image of the rounds that are done. Without --samples,
-    /// --rounds, --photons or --mutations the job goes on until then
+    /// --rounds, --photons, --mutations or --chains the job goes on until then
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     time_limit: Option<Duration>,
     /// Begin no further round once the pixels' error (noise, and the bias of rounds that are blurred) is this share of their value,

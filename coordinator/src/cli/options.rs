@@ -157,7 +157,7 @@ impl OptionArgs {
     /// Whether it is given how much `method` computes. Photons are those of all rounds together, so they say it, too.
     pub(super) fn has_count(&self, method: Method) -> bool {
         let counts: &[Setting] = match method {
-            Method::Mlt => &[Setting::Mutations],
+            Method::Mlt => &[Setting::Mutations, Setting::Chains],
             m if m.has_rounds() => &[Setting::Rounds, Setting::Photons, Setting::CausticPhotons],
             _ => &[Setting::Samples],
         };

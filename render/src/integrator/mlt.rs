@@ -127,10 +127,15 @@ impl<'a> Mlt<'a> {
     fn chain(&self, bootstrap: &Bootstrap, chain: u64, light: &mut LightImage) {
         let settings = self.settings;
         let mut random = Stream::new(settings.seed, Purpose::Chain, 0, chain);
-        // Stratified resampling: of any number of the first chains, one in each of about as many equal shares of the bootstrap's
-        // luminance. The second number fills the digits that the first does not have.
-        let share = Sampler::new(settings.seed, Purpose::Chain, 0, u64::MAX, chain).next_1d();
-        let u = f64::from(share) + f64::from(random.next_f32()) / f64::from(1 << 24);
+        // Systematic resampling: one chain in each of as many equal shares of the bootstrap's luminance. Where a limit is to end the job,
+        // stratified for any number of the first chains; the second number fills the digits that the first does not have.
+        let fine = f64::from(random.next_f32());
+        let u = if settings.is_open_ended() {
+            let share = Sampler::new(settings.seed, Purpose::Chain, 0, u64::MAX, chain).next_1d();
+            f64::from(share) + fine / f64::from(1 << 24)
+        } else {
+            (chain as f64 + fine) / f64::from(settings.chains)
+        };
         let Some(start) = bootstrap.sample(u) else { return };
         let mut space = self.start(start);
         let brightness = bootstrap.mean();
