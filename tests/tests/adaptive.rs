@@ -141,7 +141,8 @@ fn relative_mse(film: &Film, truth: &[f64]) -> f64 {
 
 #[test]
 fn the_error_falls_where_some_pixels_are_harder_and_is_stated() {
-    let [even, adaptive] = errors("glossy-plates", Method::Path, 64);
+    // Half of the image is lit directly, where a photon map's samples differ much from pixel to pixel.
+    let [even, adaptive] = errors("cornell-diffuse", Method::Photon, 64);
     assert_eq!(even[2], 64.0);
     assert!((adaptive[2] / 64.0 - 1.0).abs() < 0.03, "{adaptive:?}");
     assert!(adaptive[0] < 0.8 * even[0], "{even:?} {adaptive:?}");
