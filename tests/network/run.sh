@@ -94,7 +94,7 @@ measure() {
     local first=${pids[1]}
     before=$(sent_by_coordinator)
     launch c "$programs/gatherlight" submit scenes/cornell-diffuse.glb --coordinator http://$NET.1:7420 --method photon \
-        --photons "$photons" --width 16 --height 16 --samples 1 --final-gather 0 -o "$work/out.exr" >"$work/client.log" 2>&1 &
+        --photons "$photons" --width 128 --height 64 --samples 1 --final-gather 0 -o "$work/out.exr" >"$work/client.log" 2>&1 &
     pids+=($!)
     wait_for 300 grep -q ' built ' "$work/c.log"
     line=$(grep -m1 ' built ' "$work/c.log")
