@@ -78,7 +78,7 @@ have_map() { [ "$(cat "$work"/w*.log | grep -c "payload received.* bytes=$1 comp
 # first worker, through which half of the map goes to the others, gets when a third of the time is over; or `none`.
 measure() {
     local photons=$1 fate=$2 insecure='' have=$WORKERS line bytes built last before
-    rm -rf "$work"/*
+    rm -rf "${work:?}"/*
     "$programs/gatherlight" serve --help | grep -q -- --insecure && insecure=--insecure
     # shellcheck disable=SC2086
     NO_COLOR=1 launch c "$programs/gatherlight" serve --listen $NET.1:7420 --store "$work/store" --threads 1 $insecure \
