@@ -15,7 +15,7 @@ cd "$(dirname "$0")/../.."
 WORKERS=8
 MBIT=100
 NET=10.77.0
-MOST_TIME=1.5   # short form, debug build: over the bound; the aim of 1.25 is for the full form
+MOST_TIME=2     # short form: of the bound, on a machine whose cores nine processes share; a copy for each worker would take 8
 MOST_COPIES=1.5 # of the map, on the coordinator's link
 
 work=$(mktemp -d)
