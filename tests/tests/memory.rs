@@ -89,10 +89,10 @@ fn a_job_of_pixels_takes_what_the_plan_states() {
 #[test]
 fn coordinator_and_worker_take_what_the_plan_states() {
     for arguments in [
-        &["--method", "photon", "--photons", "2M", "--final-gather", "0"][..],
+        &["--samples", "1", "--method", "photon", "--photons", "2M", "--final-gather", "0"][..],
         &["--method", "progressive", "--photons", "4M", "--rounds", "4"],
     ] {
-        let (file, arguments) = (scene("cornell-diffuse.glb"), [&TINY[..], arguments].concat());
+        let (file, arguments) = (scene("cornell-diffuse.glb"), [&["--width", "16"], arguments].concat());
         let directory = tempfile::tempdir().expect("a directory");
         let (coordinator, url) = serve(&directory.path().join("store"));
         let worker = worker(&url, "w");

@@ -67,8 +67,10 @@ pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, cau
     // A worker keeps the maps it reads as bytes, too, to pass them on; those of the next round arrive meanwhile.
     let kept = if settings.method.has_rounds() && settings.rounds > 1 { 2 * encoded } else { encoded };
     Memory {
-        worker: base + (maps + kept).max(travelling),
-        coordinator: base + travelling + building.max(encoded) + film(settings),
+        // Measured: about half of what photons took on their way serves nothing else.
+        worker: base + maps + kept + travelling / 2,
+        // Results wait for the journal as they were sent, too, and maps are kept to be broadcast.
+        coordinator: base + 2 * travelling + building + kept + film(settings),
         single_process: base + travelling + building.max(maps) + film(settings),
         broadcast: encoded,
     }
