@@ -5,8 +5,11 @@ mod machines;
 pub mod seeds;
 mod wire;
 
+/// Takes any bytes, and panics where something is wrong.
+pub type Target = fn(&[u8]);
+
 /// A target by the name of its corpus, `fuzz/corpus/NAME`.
-pub const TARGETS: [(&str, fn(&[u8])); 6] = [
+pub const TARGETS: [(&str, Target); 6] = [
     ("chunks", wire::chunks),
     ("messages", wire::messages),
     ("payloads", wire::payloads),

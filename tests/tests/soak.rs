@@ -67,7 +67,7 @@ async fn two_hundred_jobs_and_killed_workers_leave_nothing_behind() {
     let mut cluster = RealCluster::start(2).await;
     let mut state = 7;
     let mut kill_workers = |cluster: &mut RealCluster, number: u64| {
-        if random(&mut state) % 4 == 0 {
+        if random(&mut state).is_multiple_of(4) {
             let victim = random(&mut state) as usize % cluster.workers.len();
             cluster.workers.remove(victim).kill();
             let fresh = worker(&cluster.url, &format!("fresh-{number}"));
@@ -92,7 +92,7 @@ async fn a_coordinator_that_is_killed_again_and_again_keeps_its_store_small() {
     let mut cluster = RealCluster::start(2).await;
     let mut state = 11;
     let mut kill_coordinator = |cluster: &mut RealCluster, _: u64| {
-        if random(&mut state) % 3 == 0 {
+        if random(&mut state).is_multiple_of(3) {
             cluster.kill();
             cluster.start_again();
         }

@@ -24,14 +24,17 @@ const CACHE_BYTES: usize = 64 << 20;
 const BATCH_BYTES: u64 = 64 << 20;
 
 type Hash = [u8; 32];
+type ResultEntry = (u64, u64, Hash, &'static [u8]);
+type InputEntry = (u64, f32, Hash, &'static [u8]);
+type RoundsEntry = (u32, &'static [u8], Hash, &'static [u8]);
 /// Job → [`StoredJob`](gatherlight_proto::stored::StoredJob).
 const JOBS: TableDefinition<u64, &[u8]> = TableDefinition::new("jobs");
 /// Job, phase, first index → end, microseconds of computing, digest and bytes of the result.
-const RESULTS: TableDefinition<(u64, u32, u64), (u64, u64, Hash, &[u8])> = TableDefinition::new("results");
+const RESULTS: TableDefinition<(u64, u32, u64), ResultEntry> = TableDefinition::new("results");
 /// Job, phase → photons, gather radius, digest and bytes of what was made of it.
-const INPUTS: TableDefinition<(u64, u32), (u64, f32, Hash, &[u8])> = TableDefinition::new("inputs");
+const INPUTS: TableDefinition<(u64, u32), InputEntry> = TableDefinition::new("inputs");
 /// Job → closed rounds, [`StoredRounds`](gatherlight_proto::stored::StoredRounds), digest and bytes of the film.
-const ROUNDS: TableDefinition<u64, (u32, &[u8], Hash, &[u8])> = TableDefinition::new("rounds");
+const ROUNDS: TableDefinition<u64, RoundsEntry> = TableDefinition::new("rounds");
 
 /// A result that counts.
 #[derive(Clone, Debug, PartialEq)]

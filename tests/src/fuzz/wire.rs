@@ -52,7 +52,7 @@ pub(super) fn messages(bytes: &[u8]) {
         4 => survives::<wire::RenderSettings, RenderSettings>(bytes, |m| m.into()),
         5 => survives::<wire::SceneManifest, SceneManifest>(bytes, |m| m.into()),
         7 => survives::<wire::Route, Route>(bytes, |m| m.clone().into()),
-        8 => survives::<wire::PassRequest, PassRequest>(bytes, |m| m.clone().into()),
+        8 => survives::<wire::PassRequest, PassRequest>(bytes, |&m| m.into()),
         _ => survives::<wire::Limits, Limits>(bytes, |m| (*m).into()),
     }
 }

@@ -36,9 +36,11 @@ fn an_idle_worker_repeats_an_old_lease_and_the_first_result_counts() {
     assert_eq!(said[1], Command::Accept { job: JOB, lease: LeaseId(2) });
     // The same result a second time is discarded without a word more.
     assert!(b.scheduler.settled(A, LeaseId(1), 1).is_some());
-    let discard = Command::Discard { lease: LeaseId(1), reason: Discarded::Stale };
-    assert_eq!(completed(&mut b, A, 1, 1, 9), [discard.clone()]);
-    assert_eq!(completed(&mut b, A, 1, 1, 8), [discard], "it was compared once");
+    let said = [9, 8].map(|digest| completed(&mut b, A, 1, 1, digest));
+    assert!(
+        said.iter().all(|s| *s == [Command::Discard { lease: LeaseId(1), reason: Discarded::Stale }]),
+        "it was compared once"
+    );
 }
 
 #[test]
