@@ -67,7 +67,7 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         ("--final-gather 100k", ["--final-gather", "65536"]),
         ("--seed x", ["--seed", "x"]),
         ("--method radiosity", ["radiosity", "auto, "]),
-        ("--method path --k 20", ["--k: not used by method path", "takes --samples and --max-depth"]),
+        ("--method path --k 20", ["--k: not used by method path", "takes --samples, --adaptive and --max-depth"]),
         ("--method path --photons 1k --final-gather 0", ["--photons", "method path"]),
         ("--method photon --max-depth 3", ["--max-depth", "photon, which takes --samples, --photons,"]),
         ("--max-depth 3 --k 20", ["--method: no method takes all", "--k (photon)"]),

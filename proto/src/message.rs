@@ -89,6 +89,19 @@ pub enum Task {
     },
 }
 
+impl Task {
+    /// Bytes of the maps, bootstrap and sample map it reads.
+    pub fn input_bytes(&self) -> u64 {
+        match self {
+            Task::Emission { .. } | Task::Bootstrap => 0,
+            Task::Splat { bootstrap, .. } => bootstrap.map_or(0, |b| b.bytes),
+            Task::Gather { maps, sample_map, .. } => {
+                maps.iter().map(|m| m.bytes).sum::<u64>() + sample_map.map_or(0, |b| b.bytes)
+            }
+        }
+    }
+}
+
 /// Indices of one phase of one job, given to one worker for a time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lease {

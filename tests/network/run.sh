@@ -5,7 +5,7 @@
 #
 # Needs root, ip and tc. Measured is the time from the map being built to the last worker having it, over the bound
 # max(latency ⌈log₂ p⌉, bytes / bandwidth), which on these links is bytes / bandwidth; and what the coordinator's link sent,
-# in copies of the map. The short form fails beyond the limits below; the full form prints the table of docs/scale.md.
+# in copies of the map. The short form fails where the coordinator sends more copies than the limit below, and only tells the time; the full form prints the table of docs/scale.md.
 set -euo pipefail
 full=
 [ "${1:-}" != --full ] || { full=yes && shift; }
@@ -15,7 +15,6 @@ cd "$(dirname "$0")/../.."
 WORKERS=8
 MBIT=100
 NET=10.77.0
-MOST_TIME=2     # short form: of the bound, on a machine whose cores nine processes share; a copy for each worker would take 8
 MOST_COPIES=1.5 # of the map, on the coordinator's link
 
 work=$(mktemp -d)
@@ -136,8 +135,8 @@ if [ -n "$full" ]; then
     row "from the coordinator alone (\`--no-relay\`)" 2400000 none --no-relay
 else
     row "relayed" 1600000 none
-    if awk "BEGIN { exit !($ratio > $MOST_TIME || $copies > $MOST_COPIES) }"; then
-        say "the broadcast took $ratio of the bound (at most $MOST_TIME) and the coordinator sent $copies copies (at most $MOST_COPIES)"
+    if awk "BEGIN { exit !($copies > $MOST_COPIES) }"; then
+        say "the coordinator sent $copies copies (at most $MOST_COPIES); the broadcast took $ratio of the bound"
         exit 1
     fi
 fi

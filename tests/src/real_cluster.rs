@@ -69,9 +69,9 @@ pub fn settings(method: Method) -> RenderSettings {
     let (photons, caustic_photons) = (500_000, 300_000);
     match method {
         Method::Progressive | Method::Vcm => {
-            RenderSettings { rounds: 24, photons: 40_000, caustic_photons: 40_000, ..small }
+            RenderSettings { rounds: 64, photons: 40_000, caustic_photons: 40_000, ..small }
         }
-        Method::Mlt => RenderSettings { mutations: 64, chains: 64, bootstrap: 200_000, ..small },
+        Method::Mlt => RenderSettings { mutations: 400, chains: 64, bootstrap: 1_000_000, ..small },
         _ => RenderSettings { samples: 16, photons, caustic_photons, ..small },
     }
 }

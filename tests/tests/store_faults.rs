@@ -36,10 +36,11 @@ async fn a_disk_that_fills_up_costs_the_restart_and_not_the_image() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn damaged_results_are_computed_again() {
+async fn a_damaged_database_is_refused_in_words_and_may_be_moved_away() {
     let mut cluster = RealCluster::start(2).await;
     let settings = RenderSettings { samples: 32, ..settings(Method::Photon) };
-    let id = cluster.client.submit(&request(&scene("caustic-ring.glb"), &settings), |_, _| {}).await;
+    let bundle = scene("caustic-ring.glb");
+    let id = cluster.client.submit(&request(&bundle, &settings), |_, _| {}).await;
     let id = id.unwrap_or_else(|e| panic!("{e}"));
     watch_until(&cluster.client, id, |p| p.state == JobState::Gather && p.done > 20).await;
     cluster.kill();
@@ -53,8 +54,20 @@ async fn damaged_results_are_computed_again() {
         bytes[place + 100] ^= 4;
     }
     std::fs::write(&path, bytes).expect("is written");
+    let (code, text) = serve_and_end(cluster.store.path());
+    assert!(code == Some(1) && text.contains("jobs.redb") && text.contains("move it away"), "{code:?} {text}");
+    std::fs::rename(&path, cluster.store.path().join("damaged")).expect("is moved");
     cluster.start_again();
-    assert_eq!(pixel_sha256(&finished_exr(&cluster.client, id).await), right(&settings).await);
+    let again = cluster.client.submit(&request(&bundle, &settings), |_, _| {}).await;
+    let again = again.unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(pixel_sha256(&finished_exr(&cluster.client, again).await), right(&settings).await);
+}
+
+/// A coordinator that is expected to end by itself: its exit code and what it says.
+fn serve_and_end(store: &std::path::Path) -> (Option<i32>, String) {
+    let mut command = Command::new(program("gatherlight"));
+    let ended = command.args(["serve", "--listen", "127.0.0.1:0", "--store"]).arg(store).output().expect("runs");
+    (ended.status.code(), String::from_utf8_lossy(&ended.stderr).into_owned())
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -78,16 +91,11 @@ async fn a_job_whose_scene_is_damaged_fails_and_says_so() {
 #[test]
 fn a_store_that_is_no_database_or_is_in_use_is_refused_in_words() {
     let store = tempfile::tempdir().expect("a directory");
-    let serve = |store: &std::path::Path| {
-        let mut command = Command::new(program("gatherlight"));
-        let ended = command.args(["serve", "--listen", "127.0.0.1:0", "--store"]).arg(store).output().expect("runs");
-        (ended.status.code(), String::from_utf8_lossy(&ended.stderr).into_owned())
-    };
     std::fs::write(store.path().join("jobs.redb"), vec![7; 100_000]).expect("is written");
-    let (code, text) = serve(store.path());
+    let (code, text) = serve_and_end(store.path());
     assert!(code == Some(1) && text.contains("as the store") && text.contains("jobs.redb"), "{code:?} {text}");
     std::fs::remove_file(store.path().join("jobs.redb")).expect("was there");
     let _first = serve_at(&free_address(), store.path());
-    let (code, text) = serve(store.path());
+    let (code, text) = serve_and_end(store.path());
     assert!(code == Some(1) && text.contains("another coordinator"), "{code:?} {text}");
 }

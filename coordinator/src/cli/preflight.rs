@@ -200,6 +200,6 @@ mod tests {
         assert_eq!(lacks_memory(2 << 30, &[worker(1 << 30), worker(2 << 30)]), None);
         assert_eq!(lacks_memory(2 << 30, &[]), None);
         let text = lacks_memory(2 << 30, &[worker(1 << 30), worker(1 << 20)]).expect("is too small");
-        assert!(text.contains("2.0 GiB") && text.contains("1.0 GiB") && text.contains("none of the 2"), "{text}");
+        assert!(text.contains("2.00 GiB") && text.contains("1.00 GiB") && text.contains("none of the 2"), "{text}");
     }
 }

@@ -136,7 +136,9 @@ impl Scheduler {
         // The lease may wait behind the others the worker holds.
         let rate = w.rate((job, Kind::of(phase_of)));
         let time = self.policy.lease_time(phase_of, range.len(), rate, history.attempts);
-        let deadline = now + time * w.leases.len() as u32;
+        let broadcast =
+            if rate.is_none() { self.policy.broadcast_time(lease.task.input_bytes()) } else { Duration::ZERO };
+        let deadline = now + time * w.leases.len() as u32 + broadcast;
         out.push(Command::Assign { worker, lease: lease.clone() });
         self.leases.insert(id, OpenLease { lease, phase, worker, opened: now, twin: None, deadline, history });
         Some(id)

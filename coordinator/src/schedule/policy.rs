@@ -27,6 +27,8 @@ pub struct Policy {
     pub min_deadline: Duration,
     /// The same for units of a splat phase while the worker's rate is unknown: one may be a whole round.
     pub min_splat_deadline: Duration,
+    /// Slowest broadcast a worker is given time for, bytes per second.
+    pub least_bandwidth: f64,
     /// A lease's time as a multiple of what it should take.
     pub deadline_factor: f64,
     /// Failures of one task, on different workers where there are others, after which its job fails.
@@ -57,6 +59,7 @@ impl Default for Policy {
             dead_after: Duration::from_secs(10),
             min_deadline: Duration::from_secs(120),
             min_splat_deadline: Duration::from_secs(1_800),
+            least_bandwidth: 4e6,
             deadline_factor: 20.0,
             max_failures: 3,
             max_losses: 10,
@@ -113,6 +116,10 @@ impl Policy {
         let base = expected.clamp(min.as_secs_f64(), min.as_secs_f64() * 64.0);
         Duration::from_secs_f64(base * f64::from(1u32 << attempt.saturating_sub(1).min(6)))
     }
+    /// Time for `bytes` that a worker reads to reach it: on its first lease that reads them it waits for them.
+    pub fn broadcast_time(&self, bytes: u64) -> Duration {
+        Duration::from_secs_f64(bytes as f64 / self.least_bandwidth)
+    }
 }
 
 #[cfg(test)]
@@ -165,6 +172,7 @@ mod tests {
     #[test]
     fn deadlines_grow_with_attempts() {
         let p = Policy::default();
+        assert_eq!(p.broadcast_time(4_000_000_000), Duration::from_secs(1_000));
         assert_eq!(p.lease_time(GATHER, 10, None, 1), p.min_deadline);
         assert_eq!(p.lease_time(GATHER, 10, None, 3), p.min_deadline * 4);
         assert_eq!(p.lease_time(GATHER, 100, Some(10.0), 1), Duration::from_secs(200));

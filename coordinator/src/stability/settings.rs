@@ -35,7 +35,8 @@ pub(super) fn settings(case: &Case, method: Method, effort: &Effort, seed: u64) 
         },
         Method::Photon => RenderSettings { photons, caustic_photons: photons, ..base },
         Method::Progressive => {
-            let rounds = if photons == 1 { 1 } else { 8 * work };
+            // Its kernel makes less of photons near the rim of the given radius.
+            let (rounds, photons) = if photons == 1 { (1, 1) } else { (8 * work, 2 * photons) };
             RenderSettings { rounds, photons, caustic_photons: photons, max_radius, ..base }
         }
         Method::Vcm => {

@@ -141,7 +141,7 @@ impl Journal {
     pub fn open(path: &Path) -> io::Result<Self> {
         let database = Database::builder().set_cache_size(CACHE_BYTES).create(path).map_err(|e| match e {
             redb::DatabaseError::DatabaseAlreadyOpen => other("another coordinator has it open"),
-            e => other(format!("{}: {e}", path.display())),
+            e => other(format!("{}: {e}; move it away to start without the jobs in it", path.display())),
         })?;
         let transaction = database.begin_write().map_err(other)?;
         transaction.open_table(JOBS).map_err(other)?;

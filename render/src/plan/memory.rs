@@ -67,8 +67,8 @@ pub(super) fn predict(scene: &Scene, settings: &RenderSettings, global: u64, cau
     // A worker keeps the maps it reads as bytes, too, to pass them on; those of the next round arrive meanwhile.
     let kept = if settings.method.has_rounds() && settings.rounds > 1 { 2 * encoded } else { encoded };
     Memory {
-        // Measured: about half of what photons took on their way serves nothing else.
-        worker: base + maps + kept + travelling / 2,
+        // Measured: what photons took on their way is not given back to the system before the maps come.
+        worker: base + maps + kept + travelling,
         // Results wait for the journal as they were sent, too, and maps are kept to be broadcast.
         coordinator: base + 2 * travelling + building + kept + film(settings),
         single_process: base + travelling + building.max(maps) + film(settings),
