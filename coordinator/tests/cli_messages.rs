@@ -69,7 +69,7 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         ("--method radiosity", ["radiosity", "auto, "]),
         ("--method path --k 20", ["--k: not used by method path", "takes --samples, --adaptive and --max-depth"]),
         ("--method path --photons 1k --final-gather 0", ["--photons", "method path"]),
-        ("--method photon --max-depth 3", ["--max-depth", "photon, which takes --samples, --photons,"]),
+        ("--method photon --max-depth 3", ["--max-depth", "photon, which takes --samples, --adaptive, --photons,"]),
         ("--max-depth 3 --k 20", ["--method: no method takes all", "--k (photon)"]),
         ("--rounds 0", ["--rounds", "1 … 65536"]),
         ("--radius-alpha 1", ["--radius-alpha", "between 0 and 1"]),

@@ -149,7 +149,9 @@ fn the_error_falls_where_some_pixels_are_harder_and_is_stated() {
     assert_eq!(even[2], 64.0);
     assert!((adaptive[2] / 64.0 - 1.0).abs() < 0.03, "{adaptive:?}");
     assert!(adaptive[0] < 0.8 * even[0], "{even:?} {adaptive:?}");
-    assert!((0.5..2.0).contains(&(adaptive[1] / adaptive[0])), "{adaptive:?}");
+    // Where the samples go changes nothing about how well the error is stated, whatever the map's part in it.
+    let [even, adaptive] = [even, adaptive].map(|[real, stated, _]| stated / real);
+    assert!((0.5..2.0).contains(&(adaptive / even)), "stated over real, squared: {even} evenly, {adaptive} adaptively");
 }
 
 #[test]

@@ -64,7 +64,8 @@ fn the_slurm_script_renders_on_all_ranks_and_leaves_nothing_behind() {
     // All three ranks joined, and none of them minds that the coordinator leaves at the end.
     assert_eq!(log.matches("sessions: joined worker=").count(), 3, "{log}");
     assert!(log.contains("worker=3"), "{log}");
-    assert!(!log.contains("error"), "{log}");
+    // A worker that finds the coordinator gone may say so, but nothing fails.
+    assert!(!log.contains("ERROR") && !log.contains("error:"), "{log}");
     assert!(!at("gatherlight-42").exists(), "the token and the store are removed");
 
     let mut render = Command::new(program("gatherlight"));
