@@ -139,7 +139,7 @@ fn a_worker_lost_in_each_phase_does_not_matter() {
     for case in &*CASES {
         for fault in case.deaths() {
             // The others are held back a little, so that the one that dies gets its turn.
-            let slow = Faults { delay: Duration::from_millis(2), ..Faults::default() };
+            let slow = Faults { delay: Duration::from_millis(20), ..Faults::default() };
             let result = case.render(3, 1, |c| c.faults = vec![fault.clone(), slow.clone(), slow]);
             case.assert_same_bits(&result);
             assert!(result.stats.retried_leases > 0, "{}: {fault:?} did not strike", case.name());
