@@ -9,12 +9,14 @@ use gatherlight_proto::connect::{Stamp, endpoint, pause, reason};
 use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::error::truncated;
 use gatherlight_proto::limits::{MAX_IMAGE_BYTES, MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
+use gatherlight_proto::message::Submission;
 use gatherlight_proto::version::Versions;
 use gatherlight_proto::wire::jobs_client::JobsClient;
 use gatherlight_proto::{Digest, WireError, wire};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job;
 use gatherlight_render::settings::RenderSettings;
+use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -260,18 +262,23 @@ impl Client {
         loop {
             match call(self.jobs.clone()).await {
                 Ok(reply) => return Ok(reply.into_inner()),
-                Err(status) if is_broken(&status) => {
-                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
-                }
-                Err(status) => return Err(self.failed(&status)),
+                Err(status) => self.may_repeat(&mut retries, self.failure(status)).await?,
             }
         }
     }
-    /// Waits before a call is repeated; the error, once there is no hope.
-    async fn pause(&self, retries: &mut Retries, status: Status) -> Result<(), Status> {
+    /// Whether `status` is an answer, or the connection's fault.
+    fn failure(&self, status: Status) -> Failure {
+        if is_broken(&status) { Failure::Broken(status) } else { Failure::Final(self.failed(&status)) }
+    }
+    /// Waits before a call is repeated; the error, where there is no hope.
+    async fn may_repeat(&self, retries: &mut Retries, failure: Failure) -> Result<(), ClientError> {
+        let status = match failure {
+            Failure::Broken(status) => status,
+            Failure::Final(error) => return Err(error),
+        };
         let since = *retries.since.get_or_insert_with(Instant::now);
         if since.elapsed() > RETRY_FOR {
-            return Err(status);
+            return Err(self.failed(&status));
         }
         if retries.count == 0 {
             let reason = innermost(&status);
@@ -294,33 +301,34 @@ impl Client {
         request: &SubmitRequest,
         mut uploaded: impl FnMut(u64, u64) + Send,
     ) -> Result<JobId, ClientError> {
-        // However often it is sent, it is one job.
-        let request_key: [u8; 16] = random_bytes();
+        // A scene that is damaged is sent as it is: the coordinator says what is wrong with it.
+        let needed = job::cut(&request.bundle, &request.settings).unwrap_or_else(|_| request.bundle.clone());
+        let (manifest, files) = manifest::pack(&needed);
+        let submission = Submission {
+            name: request.name.clone(),
+            // However often it is sent, it is one job.
+            request_key: random_bytes(),
+            manifest,
+            settings: request.settings.clone(),
+            limits: request.limits,
+            priority: request.priority,
+        };
         let mut retries = Retries::default();
         loop {
-            match self.submit_once(request, request_key, &mut uploaded).await {
-                Err(Failure::Broken(status)) => {
-                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
-                }
-                Err(Failure::Final(error)) => return Err(error),
+            match self.submit_once(&submission, &files, &mut uploaded).await {
                 Ok(id) => return Ok(id),
+                Err(failure) => self.may_repeat(&mut retries, failure).await?,
             }
         }
     }
     async fn submit_once(
         &self,
-        request: &SubmitRequest,
-        request_key: [u8; 16],
+        submission: &Submission,
+        files: &BTreeMap<Digest, Bytes>,
         uploaded: &mut (impl FnMut(u64, u64) + Send),
     ) -> Result<JobId, Failure> {
-        let failed = |status: Status| match is_broken(&status) {
-            true => Failure::Broken(status),
-            false => Failure::Final(self.failed(&status)),
-        };
-        // A scene that is damaged is sent as it is: the coordinator says what is wrong with it.
-        let needed = job::cut(&request.bundle, &request.settings).unwrap_or_else(|_| request.bundle.clone());
-        let (manifest, files) = manifest::pack(&needed);
-        let blobs = manifest.blobs().into_iter().map(Into::into).collect();
+        let failed = |status| self.failure(status);
+        let blobs = submission.manifest.blobs().into_iter().map(Into::into).collect();
         let missing = self.jobs.clone().missing(wire::MissingRequest { blobs }).await.map_err(failed)?;
         let mut wanted = Vec::new();
         for digest in missing.into_inner().digests {
@@ -334,15 +342,7 @@ impl Client {
             self.upload(digest, bytes, &sent, |now| uploaded(now, total)).await.map_err(failed)?;
         }
         uploaded(total, total);
-        let submission = wire::SubmitRequest {
-            name: request.name.clone(),
-            scene: Some((&manifest).into()),
-            settings: Some((&request.settings).into()),
-            request_key: request_key.to_vec().into(),
-            limits: Some(request.limits.into()),
-            priority: request.priority,
-        };
-        let reply = self.jobs.clone().submit(submission).await.map_err(failed)?;
+        let reply = self.jobs.clone().submit(wire::SubmitRequest::from(submission)).await.map_err(failed)?;
         Ok(JobId(reply.into_inner().job))
     }
     async fn upload(
@@ -415,10 +415,9 @@ impl Client {
                     continue;
                 }
                 Ok(None) => Status::unavailable("the coordinator stopped reporting"),
-                Err(status) if is_broken(&status) => status,
-                Err(status) => return Err(self.failed(&status)),
+                Err(status) => status,
             };
-            self.pause(&mut retries, broken).await.map_err(|s| self.failed(&s))?;
+            self.may_repeat(&mut retries, self.failure(broken)).await?;
             stream = self.call(|mut jobs| async move { jobs.watch(wire::WatchRequest { job: id.0 }).await }).await?;
         }
     }
@@ -434,11 +433,8 @@ impl Client {
         let mut retries = Retries::default();
         loop {
             match self.fetch_once(id, &mut received).await {
-                Err(Failure::Broken(status)) => {
-                    self.pause(&mut retries, status).await.map_err(|s| self.failed(&s))?;
-                }
-                Err(Failure::Final(error)) => return Err(error),
                 Ok(image) => return Ok(image),
+                Err(failure) => self.may_repeat(&mut retries, failure).await?,
             }
         }
     }
@@ -447,10 +443,7 @@ impl Client {
         id: JobId,
         received: &mut (impl FnMut(u64, u64) + Send),
     ) -> Result<FetchedImage, Failure> {
-        let failed = |status: Status| match is_broken(&status) {
-            true => Failure::Broken(status),
-            false => Failure::Final(self.failed(&status)),
-        };
+        let failed = |status| self.failure(status);
         let senseless = |e: WireError| Failure::Final(self.senseless(e));
         let request = wire::FetchImageRequest { job: id.0 };
         let mut stream = self.jobs.clone().fetch_image(request).await.map_err(failed)?.into_inner();

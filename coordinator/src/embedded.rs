@@ -16,6 +16,7 @@ use crate::types::{JobId, JobProgress, JobResult, JobState, Limits};
 use gatherlight_proto::Digest;
 use gatherlight_proto::connect::tuned;
 use gatherlight_proto::limits::HEARTBEAT;
+use gatherlight_proto::message::Submission;
 use gatherlight_render::film::SampleMap;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::integrator::Bootstrap;
@@ -156,7 +157,7 @@ async fn rendered(
     let store = Arc::new(Store::memory());
     let driver = Driver::start(driver_config, compute.clone(), store.clone());
     let spec = spec(bundle, prepared, config.limits);
-    shared.offer_scene(spec.manifest.clone(), spec.settings.clone(), spec.prepared.clone());
+    shared.offer_scene(spec.submission.manifest.clone(), spec.submission.settings.clone(), spec.prepared.clone());
     let job = driver.submit(spec).await.map_err(|e| RenderError::Refused(e.to_string()))?;
     let rooms = Rooms::new(DEFAULT_RESULT_BYTES);
     let context = Context { driver: driver.clone(), compute, store, rooms, access: Access::Open, counters };
@@ -174,7 +175,8 @@ async fn rendered(
 fn spec(bundle: &SceneBundle, prepared: Arc<PreparedJob>, limits: Limits) -> Spec {
     let (name, settings) = (bundle.name.clone(), prepared.settings().clone());
     let (manifest, _) = manifest::pack(bundle);
-    Spec { name, request_key: random_bytes(), limits, ..Spec::new(manifest, settings, prepared) }
+    let submission = Submission { name, request_key: random_bytes(), limits, ..Submission::new(manifest, settings) };
+    Spec { submission, owner: String::new(), prepared }
 }
 
 /// The coordinator's services and the workers, joined by pipes.

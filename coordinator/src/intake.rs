@@ -3,31 +3,11 @@
 use crate::compute::Compute;
 use crate::driver::{Handle, Spec, SubmitError};
 use crate::store::Store;
-use crate::types::{JobId, Limits};
-use gatherlight_proto::message::{BlobRef, SceneManifest};
+use crate::types::JobId;
+use gatherlight_proto::message::{BlobRef, SceneManifest, Submission};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{JobError, PreparedJob};
-use gatherlight_render::settings::RenderSettings;
 use std::sync::Arc;
-
-/// What a client wants.
-#[derive(Clone, Debug)]
-pub(crate) struct Submission {
-    /// Name for listings.
-    pub(crate) name: String,
-    /// Name of the token that submits it; empty where there are none.
-    pub(crate) owner: String,
-    /// Makes a repeated submission the same job.
-    pub(crate) request_key: [u8; 16],
-    /// The scene's files, all in the store.
-    pub(crate) manifest: SceneManifest,
-    /// What determines the image.
-    pub(crate) settings: RenderSettings,
-    /// When to end it early.
-    pub(crate) limits: Limits,
-    /// Jobs of higher priority get workers first.
-    pub(crate) priority: i32,
-}
 
 /// Why a submission did not become a job.
 #[derive(Debug, thiserror::Error)]
@@ -46,7 +26,7 @@ pub(crate) enum IntakeError {
     Internal(String),
 }
 
-/// Prepares the scene on the compute threads and hands the job to the driver.
+/// Prepares the scene on the compute threads and hands the job of `owner` to the driver.
 ///
 /// # Errors
 /// When blobs are missing, the scene or the settings are at fault, or there are too many jobs.
@@ -54,24 +34,28 @@ pub(crate) async fn submit(
     driver: &Handle,
     compute: &Compute,
     store: &Arc<Store>,
+    owner: &str,
     submission: Submission,
 ) -> Result<JobId, IntakeError> {
-    if let Some(job) = driver.find(&submission.owner, submission.request_key).await {
+    if let Some(job) = driver.find(owner, submission.request_key).await {
         return Ok(job);
     }
-    let Submission { name, request_key, manifest, settings, limits, priority, owner } = submission;
-    let (files, own) = (manifest.clone(), settings.clone());
-    let blobs = store.clone();
-    let prepare = move || {
-        let bundle = load(&blobs, &files)?;
-        PreparedJob::prepare(&bundle, &own).map_err(IntakeError::from)
-    };
-    let prepared = compute.run(prepare).await.map_err(|e| IntakeError::Internal(e.to_string()))??;
-    let prepared = Arc::new(prepared);
-    Ok(driver.submit(Spec { name, request_key, manifest, settings, limits, priority, owner, prepared }).await?)
+    let (blobs, own) = (store.clone(), submission.clone());
+    let prepared = compute.run(move || prepare(&blobs, &own)).await;
+    let prepared = prepared.map_err(|e| IntakeError::Internal(e.to_string()))??;
+    Ok(driver.submit(Spec { submission, owner: owner.to_owned(), prepared }).await?)
 }
 
-pub(crate) fn load(store: &Store, manifest: &SceneManifest) -> Result<SceneBundle, IntakeError> {
+/// Loads and prepares the scene, on the current rayon pool.
+///
+/// # Errors
+/// When blobs are missing, or the scene or the settings are at fault.
+pub(crate) fn prepare(store: &Store, submission: &Submission) -> Result<Arc<PreparedJob>, IntakeError> {
+    let bundle = load(store, &submission.manifest)?;
+    Ok(Arc::new(PreparedJob::prepare(&bundle, &submission.settings)?))
+}
+
+fn load(store: &Store, manifest: &SceneManifest) -> Result<SceneBundle, IntakeError> {
     let file = |what: &str, blob: BlobRef| -> Result<Arc<[u8]>, IntakeError> {
         let bytes = store.get(blob.digest).map_err(|e| IntakeError::Blob(format!("{what}: {e}")))?;
         if bytes.len() as u64 != blob.bytes {

@@ -2,7 +2,7 @@
 
 use crate::digest::Digest;
 use crate::pieces::STRIPES;
-use crate::types::JobId;
+use crate::types::{JobId, Limits};
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use gatherlight_render::settings::RenderSettings;
 use std::fmt;
@@ -147,6 +147,31 @@ impl SceneManifest {
             }
         }
         blobs
+    }
+}
+
+/// What a client wants rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Submission {
+    /// Name for listings.
+    pub name: String,
+    /// Makes a repeated submission the same job.
+    pub request_key: [u8; 16],
+    /// The scene's files.
+    pub manifest: SceneManifest,
+    /// What determines the image.
+    pub settings: RenderSettings,
+    /// When to end it early.
+    pub limits: Limits,
+    /// Jobs of higher priority get workers first.
+    pub priority: i32,
+}
+
+impl Submission {
+    /// Without a name or limits.
+    pub fn new(manifest: SceneManifest, settings: RenderSettings) -> Self {
+        let limits = Limits::default();
+        Submission { name: String::new(), request_key: [0; 16], manifest, settings, limits, priority: 0 }
     }
 }
 

@@ -2,13 +2,11 @@
 
 use crate::convert::millis;
 use crate::digest::Digest;
-use crate::error::{WireError, truncated};
-use crate::limits::MAX_NAME_BYTES;
-use crate::message::{BlobRef, SceneManifest};
-use crate::types::{JobProgress, JobStats, Limits};
+use crate::error::WireError;
+use crate::message::{BlobRef, Submission};
+use crate::types::{JobProgress, JobStats};
 use crate::wire;
 use gatherlight_render::photon::MapKind;
-use gatherlight_render::settings::RenderSettings;
 use prost::Message;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -16,18 +14,8 @@ use std::time::Duration;
 /// A job: enough to begin it again, and what is left of it once it has ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredJob {
-    /// Name for listings.
-    pub name: String,
-    /// Makes a repeated submission the same job.
-    pub request_key: [u8; 16],
-    /// Its scene's files.
-    pub manifest: SceneManifest,
-    /// Its settings, as submitted.
-    pub settings: RenderSettings,
-    /// When to end it early.
-    pub limits: Limits,
-    /// Jobs of higher priority get workers first.
-    pub priority: i32,
+    /// As it was submitted.
+    pub submission: Submission,
     /// Who submitted it; empty: anybody.
     pub owner: String,
     /// Time of the submission since 1970.
@@ -45,16 +33,8 @@ pub struct StoredJob {
 impl StoredJob {
     /// As bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let request = wire::SubmitRequest {
-            name: self.name.clone(),
-            scene: Some((&self.manifest).into()),
-            settings: Some((&self.settings).into()),
-            request_key: self.request_key.to_vec().into(),
-            limits: Some(self.limits.into()),
-            priority: self.priority,
-        };
         let stored = wire::StoredJob {
-            request: Some(request),
+            request: Some((&self.submission).into()),
             owner: self.owner.clone(),
             submitted_ms: millis(self.submitted),
             program: self.program.clone(),
@@ -70,16 +50,8 @@ impl StoredJob {
     /// When they make no sense.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         let stored = wire::StoredJob::decode(bytes).map_err(|e| WireError::payload("stored job", e.to_string()))?;
-        let request = stored.request.ok_or(WireError::Missing("request"))?;
         Ok(StoredJob {
-            name: truncated(&request.name, MAX_NAME_BYTES).to_owned(),
-            request_key: request.request_key[..]
-                .try_into()
-                .map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?,
-            manifest: SceneManifest::try_from(request.scene.ok_or(WireError::Missing("scene"))?)?,
-            settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
-            limits: request.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
-            priority: request.priority,
+            submission: stored.request.ok_or(WireError::Missing("request"))?.try_into()?,
             owner: stored.owner,
             submitted: Duration::from_millis(stored.submitted_ms),
             program: stored.program,
@@ -128,7 +100,9 @@ impl StoredRounds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::types::{JobId, JobState};
+    use crate::message::SceneManifest;
+    use crate::types::{JobId, JobState, Limits};
+    use gatherlight_render::settings::RenderSettings;
 
     fn blob(n: u8) -> BlobRef {
         BlobRef { digest: Digest([n; 32]), bytes: u64::from(n) }
@@ -156,12 +130,18 @@ mod tests {
             owner: "somebody".into(),
         };
         let job = StoredJob {
-            name: "a".into(),
-            request_key: [7; 16],
-            manifest: SceneManifest { name: "s.glb".into(), root: blob(1), externals: vec![("b.bin".into(), blob(2))] },
-            settings: RenderSettings::default(),
-            limits: Limits { time: Some(Duration::from_secs(3)), error: Some(0.5) },
-            priority: -3,
+            submission: Submission {
+                name: "a".into(),
+                request_key: [7; 16],
+                manifest: SceneManifest {
+                    name: "s.glb".into(),
+                    root: blob(1),
+                    externals: vec![("b.bin".into(), blob(2))],
+                },
+                settings: RenderSettings::default(),
+                limits: Limits { time: Some(Duration::from_secs(3)), error: Some(0.5) },
+                priority: -3,
+            },
             owner: "somebody".into(),
             submitted: Duration::from_millis(1_700_000_000_123),
             program: "0.1.0".into(),

@@ -5,8 +5,8 @@ use super::live::Live;
 use crate::schedule::job::{Job, Stage, Step};
 use crate::schedule::work::Kind;
 use crate::schedule::{Outcome, Scheduler};
-use crate::types::{JobId, JobProgress, JobState, JobStats, Limits, MapStats};
-use gatherlight_proto::message::{BlobRef, SceneManifest};
+use crate::types::{JobId, JobProgress, JobState, JobStats, MapStats};
+use gatherlight_proto::message::{BlobRef, Submission};
 use gatherlight_proto::stored::StoredJob;
 use gatherlight_render::export::ImageMetadata;
 use gatherlight_render::film::Film;
@@ -19,39 +19,19 @@ use tokio::sync::watch;
 
 /// A job as it is handed in: its blobs are there and its scene is prepared.
 pub struct Spec {
-    /// Name for listings.
-    pub name: String,
+    /// What is wanted.
+    pub submission: Submission,
     /// Name of the token that submits it; empty where there are none.
     pub owner: String,
-    /// Makes a repeated submission the same job.
-    pub request_key: [u8; 16],
-    /// Its scene's files.
-    pub manifest: SceneManifest,
-    /// Its settings, as submitted.
-    pub settings: RenderSettings,
-    /// When to end it early.
-    pub limits: Limits,
-    /// Jobs of higher priority get workers first.
-    pub priority: i32,
     /// Its scene.
     pub prepared: Arc<PreparedJob>,
 }
 
 impl Spec {
-    /// Without a name, limits or an owner.
-    pub fn new(manifest: SceneManifest, settings: RenderSettings, prepared: Arc<PreparedJob>) -> Self {
-        let (name, owner, limits) = (String::new(), String::new(), Limits::default());
-        Spec { name, request_key: [0; 16], manifest, settings, limits, priority: 0, owner, prepared }
-    }
     /// As it is kept.
     pub(super) fn stored(&self) -> StoredJob {
         StoredJob {
-            name: self.name.clone(),
-            request_key: self.request_key,
-            manifest: self.manifest.clone(),
-            settings: self.settings.clone(),
-            limits: self.limits,
-            priority: self.priority,
+            submission: self.submission.clone(),
             owner: self.owner.clone(),
             submitted: since_1970(),
             program: gatherlight_render::VERSION.to_owned(),
@@ -69,7 +49,7 @@ pub(super) fn since_1970() -> Duration {
 
 impl std::fmt::Debug for Spec {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Spec").field("name", &self.name).finish_non_exhaustive()
+        f.debug_struct("Spec").field("name", &self.submission.name).finish_non_exhaustive()
     }
 }
 
@@ -132,7 +112,7 @@ impl JobRecord {
     pub(super) fn begin(&mut self, live: Live, rounds: u32, kept: JobStats, later: BTreeMap<u32, JobStats>) {
         self.image_units = live.phases.iter().filter(|p| p.makes_image()).map(Phase::units).sum();
         // Passes over the pixels are one phase to whoever watches.
-        self.rounds = if self.stored.settings.merges_rounds() { rounds } else { 1 };
+        self.rounds = if self.stored.submission.settings.merges_rounds() { rounds } else { 1 };
         self.stats = JobStats { restarts: self.stored.restarts, ..kept.clone() };
         later.values().for_each(|part| self.stats.add(part));
         let radii = live.about.gather_radii.values().copied();
@@ -165,7 +145,7 @@ impl JobRecord {
     }
     /// Whether it is what `owner` submitted with this key.
     pub(super) fn is(&self, owner: &str, request_key: &[u8; 16]) -> bool {
-        self.stored.owner == owner && self.stored.request_key == *request_key
+        self.stored.owner == owner && self.stored.submission.request_key == *request_key
     }
     pub(super) fn is_final(&self) -> bool {
         self.state.is_final()
@@ -299,7 +279,7 @@ impl JobRecord {
 fn snapshot(id: JobId, stored: &StoredJob, stats: &JobStats) -> JobProgress {
     JobProgress {
         id,
-        name: stored.name.clone(),
+        name: stored.submission.name.clone(),
         owner: stored.owner.clone(),
         state: JobState::Waiting,
         done: 0,
@@ -312,7 +292,7 @@ fn snapshot(id: JobId, stored: &StoredJob, stats: &JobStats) -> JobProgress {
         result_digest: None,
         round: 0,
         rounds: 1,
-        priority: stored.priority,
+        priority: stored.submission.priority,
         waits_for: String::new(),
     }
 }

@@ -1,10 +1,10 @@
 //! What is kept of jobs in the store, and for how long.
 
+use super::Driver;
 use super::handle::{Input, Reply};
 use super::job::{JobRecord, since_1970};
 use super::resume::{self, Resumed};
 use super::steps::{flat, report};
-use super::{Driver, Parts};
 use crate::room::Room;
 use crate::schedule::Outcome;
 use crate::store::journal::{Change, SavedInput, SavedResult, SavedRounds};
@@ -35,17 +35,20 @@ impl Driver {
             }
         }
         left.sort_by_key(|(id, job)| (job.submitted, *id));
-        let (now, age) = (since_1970(), |job: &StoredJob| since_1970().saturating_sub(job.submitted));
-        let running = left.iter().filter(|(_, job)| job.last.is_none());
-        self.before = running.map(|(_, job)| now.saturating_sub(job.submitted)).max().unwrap_or_default();
+        let today = since_1970();
+        let age = |job: &StoredJob| match job.last {
+            Some(_) => Duration::ZERO,
+            None => today.saturating_sub(job.submitted),
+        };
+        self.before = left.iter().map(|(_, job)| age(job)).max().unwrap_or_default();
         for (id, mut job) in left {
             let ended = job.last.is_some();
             job.restarts += u32::from(!ended);
-            let record = JobRecord::new(id, job.clone(), if ended { Duration::ZERO } else { age(&job) }, self.now());
+            let record = JobRecord::new(id, job.clone(), age(&job), self.now());
             self.jobs.insert(id, record);
             self.order.push(id);
             if !ended {
-                tracing::info!(job = %id, name = job.name, restarts = job.restarts, "goes on after a restart");
+                tracing::info!(job = %id, name = job.submission.name, restarts = job.restarts, "goes on after a restart");
                 self.note(id, Change::Job(job.encode()));
                 let (store, own) = (self.store.clone(), self.own.clone());
                 self.compute.spawn(
@@ -68,7 +71,7 @@ impl Driver {
                 return self.finish(id, Outcome::Failed(format!("it could not go on after a restart: {error}")));
             }
         };
-        let Resumed { spec, live, saved, kept, later, damaged, starts_anew } = resumed;
+        let Resumed { spec, start, damaged, starts_anew } = resumed;
         if damaged > 0 {
             tracing::warn!(job = %id, damaged, "parts of the job were damaged in the store and are computed again");
         }
@@ -79,7 +82,7 @@ impl Driver {
             self.note(id, Change::Restarted);
             self.note(id, Change::Job(record));
         }
-        self.begin(id, spec, Parts { live: Some(live), saved, kept, later });
+        self.begin(id, spec, start);
     }
 
     /// Notes a change in the journal, where there is one.
@@ -135,42 +138,30 @@ impl Driver {
 
     /// Blobs that jobs refer to.
     fn referenced(&self) -> BTreeSet<Digest> {
-        let scenes = self.jobs.values().filter(|j| !j.is_final()).flat_map(|j| j.stored.manifest.blobs());
+        let scenes = self.jobs.values().filter(|j| !j.is_final()).flat_map(|j| j.stored.submission.manifest.blobs());
         let images = self.jobs.values().filter_map(|j| j.image);
         scenes.chain(images).map(|b| b.digest).collect()
     }
 
     /// Collects old blobs, if the store lacks room for `bytes` more.
     pub(super) fn make_room(&mut self, bytes: u64, reply: Reply<()>) {
-        if !self.store.lacks_room(bytes) {
+        let done = move || {
             let _ = reply.send(());
-            return;
-        }
-        self.collected = self.now();
-        let (store, wanted) = (self.store.clone(), self.referenced());
-        self.compute.spawn(
-            move || store.collect(&wanted, bytes),
-            move |_| {
-                let _ = reply.send(());
-            },
-        );
+        };
+        if self.store.lacks_room(bytes) { self.collect(bytes, done) } else { done() }
     }
 
     /// Collects old blobs before the store is full.
     pub(super) fn collect_now_and_then(&mut self) {
-        let now = self.now();
         let reserve = self.store.limit_bytes() / 4;
-        if now.saturating_sub(self.collected) < COLLECT_EVERY || !self.store.lacks_room(reserve) {
-            return;
+        if self.now().saturating_sub(self.collected) >= COLLECT_EVERY && self.store.lacks_room(reserve) {
+            self.collect(reserve, || {});
         }
-        self.collected = now;
-        let (store, wanted) = (self.store.clone(), self.referenced());
-        self.compute.spawn(move || store.collect(&wanted, reserve), |_| {});
     }
-}
 
-impl std::fmt::Debug for Parts {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Parts").finish_non_exhaustive()
+    fn collect(&mut self, bytes: u64, done: impl FnOnce() + Send + 'static) {
+        self.collected = self.now();
+        let (store, wanted) = (self.store.clone(), self.referenced());
+        self.compute.spawn(move || store.collect(&wanted, bytes), move |_| done());
     }
 }

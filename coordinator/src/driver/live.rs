@@ -92,7 +92,7 @@ impl Live {
             about: About::new(&prepared, &phases),
             phases: phases.into(),
             shape: Arc::new(shape),
-            target: spec.limits.error,
+            target: spec.submission.limits.error,
             mergers: BTreeMap::new(),
             luminances: BTreeMap::new(),
             bootstrap: None,
@@ -102,7 +102,7 @@ impl Live {
             light,
             served: Vec::new(),
             retired_bytes: 0,
-            blobs: spec.manifest.blobs().iter().map(|b| b.digest).collect(),
+            blobs: spec.submission.manifest.blobs().iter().map(|b| b.digest).collect(),
             sink,
             prepared,
         }
@@ -380,7 +380,7 @@ fn new_merger(kind: MapKind, paths: u64) -> Merger {
 mod tests {
     use super::*;
     use crate::manifest;
-    use gatherlight_proto::message::MapRef;
+    use gatherlight_proto::message::{MapRef, Submission};
     use gatherlight_render::import::SceneBundle;
     use gatherlight_render::job::PhotonMap;
     use gatherlight_render::photon::PhotonBatch;
@@ -415,7 +415,7 @@ mod tests {
         let settings =
             RenderSettings { method: Method::Progressive, width: 32, height: 16, rounds, ..RenderSettings::default() };
         let prepared = Arc::new(PreparedJob::prepare(&bundle, &settings).unwrap_or_else(|e| panic!("{e}")));
-        Spec::new(manifest::pack(&bundle).0, settings, prepared)
+        Spec { submission: Submission::new(manifest::pack(&bundle).0, settings), owner: String::new(), prepared }
     }
 
     fn empty_map() -> PhotonMap {

@@ -23,7 +23,7 @@ use crate::counters::Counters;
 use crate::random::random_u64;
 use crate::room::Room;
 use crate::schedule::job::closes_rounds;
-use crate::schedule::{Command, Event, Outcome, Policy, Saved, Scheduler, Terms};
+use crate::schedule::{Command, Event, Outcome, Policy, Scheduler, Terms};
 use crate::store::Store;
 use crate::store::journal::{Change, SavedResult};
 use crate::types::{JobId, JobStats};
@@ -33,8 +33,8 @@ use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Phase, PhotonMap};
 use handle::{Input, Reply};
-use job::{JobRecord, first_stats};
-use live::Live;
+use job::JobRecord;
+use resume::Start;
 use sessions::Sessions;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -85,16 +85,6 @@ pub struct DriverConfig {
     pub heartbeat: Duration,
     /// Where maps and bootstraps go when every worker is in this process; otherwise they are encoded for the broadcast.
     pub sink: Option<Arc<dyn Sink>>,
-}
-
-/// What a job begins with.
-struct Parts {
-    /// Its heavy parts, where they are there.
-    live: Option<Live>,
-    saved: Saved,
-    /// Counts over closed rounds, and by later round.
-    kept: JobStats,
-    later: BTreeMap<u32, JobStats>,
 }
 
 /// The loop's state.
@@ -217,7 +207,7 @@ impl Driver {
 
     /// Starts a job; `reply` hears of it once it would survive this process.
     fn submit(&mut self, spec: Spec, reply: Reply<Result<JobId, SubmitError>>) {
-        if let Some(job) = self.jobs.values().find(|j| j.is(&spec.owner, &spec.request_key)) {
+        if let Some(job) = self.jobs.values().find(|j| j.is(&spec.owner, &spec.submission.request_key)) {
             return drop(reply.send(Ok(job.id)));
         }
         let phases = spec.prepared.phases();
@@ -228,13 +218,13 @@ impl Driver {
         while self.jobs.contains_key(&id) {
             id = JobId(random_u64());
         }
-        tracing::info!(job = %id, name = spec.name, phases = phases.len(), "submitted");
+        tracing::info!(job = %id, name = spec.submission.name, phases = phases.len(), "submitted");
         let stored = spec.stored();
         let record = stored.encode();
-        let first = first_stats(&phases, &spec.settings);
+        let start = Start::new(&spec, phases, self.config.sink.clone());
         self.jobs.insert(id, JobRecord::new(id, stored, Duration::ZERO, self.now()));
         self.order.push(id);
-        self.begin(id, spec, Parts { live: None, saved: Saved::default(), kept: first, later: BTreeMap::new() });
+        self.begin(id, spec, start);
         self.forget_old_jobs();
         let own = self.own.clone();
         self.note_then(id, Change::Job(record), move |noted| match noted {
@@ -249,11 +239,11 @@ impl Driver {
     }
 
     fn may_start(&self, spec: &Spec, phases: &[Phase]) -> Result<(), SubmitError> {
-        let method = spec.settings.method.name();
-        if spec.limits.time.is_some() && !closes_rounds(phases) {
+        let (limits, method) = (spec.submission.limits, spec.submission.settings.method.name());
+        if limits.time.is_some() && !closes_rounds(phases) {
             return Err(SubmitError::TimeLimit(method));
         }
-        if spec.limits.error.is_some() && !closes_rounds(phases) {
+        if limits.error.is_some() && !closes_rounds(phases) {
             return Err(SubmitError::ErrorLimit(method));
         }
         let (needed, limit) = (spec.prepared.plan().coordinator_bytes, self.config.max_job_bytes);
@@ -268,15 +258,14 @@ impl Driver {
     }
 
     /// Begins the work of a job that is listed already, or goes on with it.
-    fn begin(&mut self, id: JobId, spec: Spec, parts: Parts) {
-        let phases = spec.prepared.phases();
+    fn begin(&mut self, id: JobId, spec: Spec, start: Start) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Parts { live, saved, kept, later } = parts;
-        let live = live.unwrap_or_else(|| Live::new(&spec, phases.clone(), self.config.sink.clone()));
+        let Start { live, saved, kept, later } = start;
+        let phases = live.phases.to_vec();
         job.begin(live, spec.prepared.rounds(), kept, later);
         let terms = Terms {
-            limits: spec.limits,
-            priority: spec.priority,
+            limits: spec.submission.limits,
+            priority: spec.submission.priority,
             worker_bytes: spec.prepared.plan().worker_bytes,
             age: job.age,
             saved,
@@ -425,7 +414,8 @@ impl Driver {
             match command {
                 Command::Prepare { worker, job } => {
                     if let Some(j) = self.jobs.get(&job) {
-                        let (scene, settings) = (j.stored.manifest.clone(), Box::new(j.stored.settings.clone()));
+                        let (scene, settings) =
+                            (j.stored.submission.manifest.clone(), Box::new(j.stored.submission.settings.clone()));
                         self.send(worker, ToWorker::Prepare { job, scene, settings });
                     }
                 }

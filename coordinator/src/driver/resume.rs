@@ -1,5 +1,6 @@
 //! A job that an earlier coordinator left goes on: what is kept of it → where it stood. Runs on the compute threads.
 
+use super::Sink;
 use super::handle::{Built, Made};
 use super::job::{Spec, first_stats};
 use super::live::Live;
@@ -18,19 +19,25 @@ use gatherlight_proto::pieces::Pieces;
 use gatherlight_proto::stored::{StoredJob, StoredRounds};
 use gatherlight_render::film::MapError;
 use gatherlight_render::integrator::Bootstrap;
-use gatherlight_render::job::{Phase, PreparedJob};
+use gatherlight_render::job::Phase;
 use gatherlight_render::photon::EmissionRange;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A job, ready to go on.
-pub(crate) struct Resumed {
-    pub(super) spec: Spec,
+/// Where a job stands as its work begins.
+pub(super) struct Start {
     pub(super) live: Live,
+    /// What is done of it.
     pub(super) saved: Saved,
     /// Counts over the closed rounds, and by later round.
     pub(super) kept: JobStats,
     pub(super) later: BTreeMap<u32, JobStats>,
+}
+
+/// A job, ready to go on.
+pub(crate) struct Resumed {
+    pub(super) spec: Spec,
+    pub(super) start: Start,
     /// Entries that were of no use.
     pub(super) damaged: usize,
     /// What was kept is another version's.
@@ -48,48 +55,44 @@ impl std::fmt::Debug for Resumed {
 /// # Errors
 /// When the scene cannot be loaded, or the store cannot be read.
 pub(crate) fn resume(store: &Store, id: JobId, job: &StoredJob) -> Result<Box<Resumed>, String> {
-    let bundle = intake::load(store, &job.manifest).map_err(|e| e.to_string())?;
-    let prepared = Arc::new(PreparedJob::prepare(&bundle, &job.settings).map_err(|e| e.to_string())?);
+    let prepared = intake::prepare(store, &job.submission).map_err(|e| e.to_string())?;
     let work = match store.journal() {
         Some(journal) => journal.work(id).map_err(|e| format!("the coordinator's store failed: {e}"))?,
         None => SavedWork::default(),
     };
-    let spec = Spec {
-        name: job.name.clone(),
-        request_key: job.request_key,
-        limits: job.limits,
-        priority: job.priority,
-        owner: job.owner.clone(),
-        ..Spec::new(job.manifest.clone(), job.settings.clone(), prepared.clone())
-    };
     let phases = prepared.phases();
-    let mut resumed = Box::new(Resumed {
-        kept: first_stats(&phases, &job.settings),
-        live: Live::new(&spec, phases, None),
-        spec,
-        saved: Saved::default(),
-        later: BTreeMap::new(),
-        damaged: work.damaged,
-        starts_anew: job.program != gatherlight_render::VERSION,
-    });
-    if !resumed.starts_anew {
-        resumed.take_in(work)?;
-    }
-    Ok(resumed)
+    let spec = Spec { submission: job.submission.clone(), owner: job.owner.clone(), prepared };
+    let mut start = Start::new(&spec, phases, None);
+    let starts_anew = job.program != gatherlight_render::VERSION;
+    let damaged = if starts_anew { 0 } else { start.take_in(work)? };
+    Ok(Box::new(Resumed { spec, start, damaged, starts_anew }))
 }
 
-impl Resumed {
-    fn take_in(&mut self, work: SavedWork) -> Result<(), String> {
+impl Start {
+    /// That of a new job, of these phases.
+    pub(super) fn new(spec: &Spec, phases: Vec<Phase>, sink: Option<Arc<dyn Sink>>) -> Self {
+        Start {
+            kept: first_stats(&phases, &spec.submission.settings),
+            live: Live::new(spec, phases, sink),
+            saved: Saved::default(),
+            later: BTreeMap::new(),
+        }
+    }
+
+    /// Takes in what is kept of the job; returns the number of entries that were of no use.
+    fn take_in(&mut self, work: SavedWork) -> Result<usize, String> {
+        let mut damaged = work.damaged;
         if let Some(rounds) = work.rounds {
-            self.damaged += usize::from(self.rounds(&rounds).is_none());
+            damaged += usize::from(self.rounds(&rounds).is_none());
         }
         for input in work.inputs {
-            self.damaged += usize::from(self.input(input).is_none());
+            damaged += usize::from(self.input(input).is_none());
         }
         for saved in work.results {
-            self.damaged += usize::from(self.result(saved)?.is_none());
+            damaged += usize::from(self.result(saved)?.is_none());
         }
-        self.live.light_sum().map_or(Ok(()), |sum| sum.add_waiting()).map_err(|e| e.to_string())
+        self.live.light_sum().map_or(Ok(()), |sum| sum.add_waiting()).map_err(|e| e.to_string())?;
+        Ok(damaged)
     }
 
     /// `None`: it is of no use.

@@ -122,7 +122,7 @@ impl Driver {
         }
         let Some(live) = job.live.as_mut() else { return };
         let parts = live.parts(done);
-        let metadata = live.about.metadata(&job.stored.settings, &job.stats);
+        let metadata = live.about.metadata(&job.stored.submission.settings, &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
         self.compute.spawn(
             move || assemble::finish(parts, &metadata, keep, &store),

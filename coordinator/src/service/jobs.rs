@@ -4,16 +4,15 @@ use super::quota::{Quota, holding};
 use super::{Context, ReplyStream, stored_chunks};
 use crate::access::Identity;
 use crate::driver::{NoImage, SubmitError};
-use crate::intake::{self, IntakeError, Submission};
+use crate::intake::{self, IntakeError};
 use crate::store::StoreError;
-use crate::types::{JobId, JobProgress, Limits};
+use crate::types::{JobId, JobProgress};
 use gatherlight_proto::WireError;
 use gatherlight_proto::error::truncated;
-use gatherlight_proto::limits::{MAX_EXTERNALS, MAX_NAME_BYTES, MAX_PRIORITY, PROTOCOL_VERSION};
-use gatherlight_proto::message::{BlobRef, SceneManifest};
+use gatherlight_proto::limits::{MAX_EXTERNALS, PROTOCOL_VERSION};
+use gatherlight_proto::message::{BlobRef, Submission};
 use gatherlight_proto::wire::jobs_server::Jobs;
 use gatherlight_proto::wire::{self, Chunk};
-use gatherlight_render::settings::RenderSettings;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{Semaphore, mpsc, watch};
@@ -143,22 +142,10 @@ impl Jobs for JobsService {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Result<Response<wire::SubmitReply>, Status> {
         let owner = caller(&request)?.name;
         let _slot = self.submissions.take(owner.clone())?;
-        let request = request.into_inner();
-        let submission = Submission {
-            // It will be shown on terminals.
-            name: truncated(&request.name, MAX_NAME_BYTES).replace(char::is_control, " "),
-            owner: owner.to_string(),
-            request_key: request.request_key[..]
-                .try_into()
-                .map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?,
-            manifest: SceneManifest::try_from(request.scene.ok_or(WireError::Missing("scene"))?)?,
-            settings: RenderSettings::try_from(request.settings.ok_or(WireError::Missing("settings"))?)?,
-            limits: request.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
-            priority: request.priority.clamp(-MAX_PRIORITY, MAX_PRIORITY),
-        };
+        let submission = Submission::try_from(request.into_inner())?;
         let _turn = self.intakes.acquire().await.map_err(|e| Status::internal(e.to_string()))?;
         let Context { driver, compute, store, .. } = &self.context;
-        let job = intake::submit(driver, compute, store, submission).await?;
+        let job = intake::submit(driver, compute, store, &owner, submission).await?;
         Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }
 

@@ -10,7 +10,6 @@ use gatherlight_proto::Digest;
 use gatherlight_proto::types::JobId;
 use gatherlight_render::photon::EmissionRange;
 use redb::{Database, ReadableDatabase, ReadableTable, TableDefinition, WriteTransaction};
-use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -340,13 +339,6 @@ impl Change {
             Change::Forgotten | Change::Restarted => 0,
         };
         length as u64
-    }
-}
-
-impl SavedWork {
-    /// The phases' inputs, by phase.
-    pub fn inputs_by_phase(&self) -> BTreeMap<usize, &SavedInput> {
-        self.inputs.iter().map(|i| (i.phase, i)).collect()
     }
 }
 

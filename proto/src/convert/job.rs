@@ -3,7 +3,8 @@
 use super::{map_kind, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
-use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_TIME_LIMIT};
+use crate::limits::{MAX_ERROR_BYTES, MAX_NAME_BYTES, MAX_PRIORITY, MAX_TIME_LIMIT};
+use crate::message::Submission;
 use crate::types::{JobId, JobProgress, JobState, JobStats, Limit, Limits, MapStats, NonFinite, WorkerInfo};
 use crate::wire;
 use gatherlight_render::film::light_image::Mutations;
@@ -268,5 +269,35 @@ impl From<wire::Worker> for WorkerInfo {
             last_heard: Duration::from_millis(w.last_heard_ms),
             joined: Duration::from_millis(w.joined_ms),
         }
+    }
+}
+
+impl From<&Submission> for wire::SubmitRequest {
+    fn from(s: &Submission) -> Self {
+        wire::SubmitRequest {
+            name: s.name.clone(),
+            scene: Some((&s.manifest).into()),
+            settings: Some((&s.settings).into()),
+            request_key: s.request_key.to_vec().into(),
+            limits: Some(s.limits.into()),
+            priority: s.priority,
+        }
+    }
+}
+
+impl TryFrom<wire::SubmitRequest> for Submission {
+    type Error = WireError;
+    fn try_from(r: wire::SubmitRequest) -> Result<Self, WireError> {
+        let request_key =
+            r.request_key[..].try_into().map_err(|_| WireError::invalid("request_key", "has to have 16 bytes"))?;
+        Ok(Submission {
+            // It will be shown on terminals.
+            name: cut(&r.name, MAX_NAME_BYTES).replace(char::is_control, " "),
+            request_key,
+            manifest: required("scene", r.scene)?.try_into()?,
+            settings: required("settings", r.settings)?.try_into()?,
+            limits: r.limits.map(Limits::try_from).transpose()?.unwrap_or_default(),
+            priority: r.priority.clamp(-MAX_PRIORITY, MAX_PRIORITY),
+        })
     }
 }
