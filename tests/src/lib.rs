@@ -9,6 +9,7 @@ pub mod fuzz;
 pub mod pipeline;
 pub mod processes;
 pub mod proxy;
+pub mod random;
 pub mod real_cluster;
 pub mod references;
 pub mod scenes;

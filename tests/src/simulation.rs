@@ -5,6 +5,7 @@ mod costs;
 
 pub use costs::Costs;
 
+use crate::random::Random;
 use checks::Counted;
 use gatherlight::schedule::job::Done;
 use gatherlight::schedule::{Command, Event, Policy, Scheduler, Terms};
@@ -125,25 +126,6 @@ pub struct Report {
     pub result_bytes: u64,
     /// Bytes of maps, counted once each.
     pub broadcast_bytes: u64,
-}
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    fn below(&mut self, n: u64) -> u64 {
-        self.next() % n.max(1)
-    }
-    fn chance(&mut self, p: f64) -> bool {
-        ((self.next() >> 11) as f64 / (1u64 << 53) as f64) < p
-    }
 }
 
 /// Something that will happen.

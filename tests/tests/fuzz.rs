@@ -1,6 +1,7 @@
 //! A bounded, repeatable run of the fuzzers' targets: the committed corpora, and damage of every kind done to them.
 
 use gatherlight_tests::fuzz::{TARGETS, run, seeds};
+use gatherlight_tests::random::Random;
 use std::path::Path;
 
 /// Damaged inputs of each target.
@@ -10,20 +11,8 @@ const SLOW_ROUNDS: u64 = 10_000;
 /// Longest input that is damaged, in bytes: larger ones take too long here.
 const MAX_BYTES: usize = 16 << 10;
 
-/// SplitMix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n.max(1) as u64) as usize
-    }
+fn below(random: &mut Random, n: usize) -> usize {
+    random.below(n as u64) as usize
 }
 
 fn corpus(target: &str) -> Vec<Vec<u8>> {
@@ -36,12 +25,12 @@ fn corpus(target: &str) -> Vec<Vec<u8>> {
 
 /// One input with some bytes changed, cut out, repeated, or taken from another.
 fn damaged(corpus: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
-    let mut bytes = corpus[random.below(corpus.len())].clone();
-    for _ in 0..=random.below(4) {
-        let at = random.below(bytes.len());
-        let length = random.below(32).min(bytes.len() - at);
-        match random.below(6) {
-            0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
+    let mut bytes = corpus[below(random, corpus.len())].clone();
+    for _ in 0..=below(random, 4) {
+        let at = below(random, bytes.len());
+        let length = below(random, 32).min(bytes.len() - at);
+        match below(random, 6) {
+            0 if !bytes.is_empty() => bytes[at] ^= 1 << below(random, 8),
             1 if !bytes.is_empty() => bytes[at] = random.next() as u8,
             2 => drop(bytes.drain(at..at + length)),
             3 => {
@@ -50,8 +39,8 @@ fn damaged(corpus: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
             }
             4 => bytes.truncate(at),
             _ => {
-                let other = &corpus[random.below(corpus.len())];
-                let from = random.below(other.len());
+                let other = &corpus[below(random, corpus.len())];
+                let from = below(random, other.len());
                 let piece = other[from..other.len().min(from + length)].to_vec();
                 bytes.splice(at..at, piece);
             }

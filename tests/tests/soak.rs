@@ -3,18 +3,10 @@
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::cluster::{finished_exr, request};
 use gatherlight_tests::processes::worker;
+use gatherlight_tests::random::Random;
 use gatherlight_tests::real_cluster::{RealCluster, right_pixels, settings};
 use gatherlight_tests::{pixel_sha256, scene};
 use std::path::Path;
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-fn random(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
 
 fn small(seed: u64) -> RenderSettings {
     let methods = [Method::Photon, Method::Path, Method::Progressive, Method::Mlt];
@@ -65,10 +57,10 @@ async fn run(cluster: &mut RealCluster, jobs: u64, mut strike: impl FnMut(&mut R
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_hundred_jobs_and_killed_workers_leave_nothing_behind() {
     let mut cluster = RealCluster::start(2).await;
-    let mut state = 7;
+    let mut random = Random(7);
     let mut kill_workers = |cluster: &mut RealCluster, number: u64| {
-        if random(&mut state).is_multiple_of(4) {
-            let victim = random(&mut state) as usize % cluster.workers.len();
+        if random.next().is_multiple_of(4) {
+            let victim = random.next() as usize % cluster.workers.len();
             cluster.workers.remove(victim).kill();
             let fresh = worker(&cluster.url, &format!("fresh-{number}"));
             cluster.workers.push(fresh);
@@ -90,9 +82,9 @@ async fn two_hundred_jobs_and_killed_workers_leave_nothing_behind() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_coordinator_that_is_killed_again_and_again_keeps_its_store_small() {
     let mut cluster = RealCluster::start(2).await;
-    let mut state = 11;
+    let mut random = Random(11);
     let mut kill_coordinator = |cluster: &mut RealCluster, _: u64| {
-        if random(&mut state).is_multiple_of(3) {
+        if random.next().is_multiple_of(3) {
             cluster.kill();
             cluster.start_again();
         }

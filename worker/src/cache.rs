@@ -6,6 +6,7 @@ use crate::error::TaskError;
 use crate::executor::Executor;
 use crate::session::Announced;
 use crate::shared::Shared;
+use bytes::Bytes;
 use gatherlight_proto::Digest;
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
 use gatherlight_proto::message::{BlobRef, MapRef};
@@ -134,9 +135,7 @@ impl Cache {
         let joined = match self.shared.bootstrap(wanted.digest) {
             Some(shared) => shared,
             None => {
-                let what = "bootstrap";
-                self.check_fits(what, wanted.bytes)?;
-                let bytes = remote.fetch(&format!("the {what}"), wanted, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+                let bytes = self.read("bootstrap", wanted, remote).await?;
                 let paths = prepared.phases().iter().find_map(|p| match *p {
                     Phase::Bootstrap { paths } => Some(paths),
                     _ => None,
@@ -168,29 +167,27 @@ impl Cache {
         let map = match self.shared.sample_map(wanted.digest) {
             Some(shared) => shared,
             None => {
-                self.check_fits("sample map", wanted.bytes)?;
-                let bytes = remote.fetch("the sample map", wanted, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+                let bytes = self.read("sample map", wanted, remote).await?;
                 Arc::new(sample_map::decode(&bytes, prepared.grid())?)
             }
         };
         self.jobs.entry(id).or_default().sample_map = Some((wanted.digest, map.clone()));
         Ok(map)
     }
-    fn check_fits(&self, what: &str, bytes: u64) -> Result<(), TaskError> {
-        let limit = self.memory_bytes;
+    /// Fetches something that the job's tasks read, if it fits.
+    async fn read(&self, what: &str, blob: BlobRef, remote: &Remote) -> Result<Bytes, TaskError> {
+        let (bytes, limit) = (blob.bytes, self.memory_bytes);
         if bytes > limit {
             return Err(TaskError::Memory { what: what.into(), bytes, limit });
         }
-        Ok(())
+        remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await
     }
     async fn map(&self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
         if let Some(shared) = self.shared.map(map.digest) {
             return Ok(shared);
         }
-        let what = format!("{} map", map.kind.name());
-        self.check_fits(&what, map.bytes)?;
         let blob = BlobRef { digest: map.digest, bytes: map.bytes };
-        let bytes = remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+        let bytes = self.read(&format!("{} map", map.kind.name()), blob, remote).await?;
         let max_photons = self.memory_bytes / MIN_PHOTON_BYTES;
         let decoded = executor.run(move || decode_map(&bytes, map.kind, max_photons)).await??;
         Ok(Arc::new(decoded))

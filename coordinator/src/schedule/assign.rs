@@ -21,37 +21,44 @@ impl Scheduler {
     /// Gives every worker with room its next leases: first one each, then the second ones. Who would have none repeats old ones.
     pub(super) fn assign_all(&mut self, now: Duration, out: &mut Vec<Command>) {
         let has_work = self.jobs.values().any(|j| j.open_phases().next().is_some());
-        let mut old = self.twin_candidates(now);
-        if !has_work && old.is_empty() {
+        if !has_work && self.leases.is_empty() {
             return;
         }
+        // Looked for only where a worker is idle.
+        let mut old = None;
         for held in 0..self.policy.leases_per_worker {
-            let ready =
-                self.workers.iter().filter(|(_, w)| !w.draining && w.behind.is_empty() && w.leases.len() == held);
+            let ready = self.workers.iter().filter(|(_, w)| w.is_ready() && w.leases.len() == held);
             let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
             for worker in ready {
                 let assigned = has_work && self.assign(now, worker, out);
-                if !assigned && held == 0 && !old.is_empty() {
-                    self.assign_twin(now, worker, &mut old, out);
+                if !assigned && held == 0 {
+                    let mut candidates = old.take().unwrap_or_else(|| self.twin_candidates(now));
+                    self.assign_twin(now, worker, &mut candidates, out);
+                    old = Some(candidates);
                 }
             }
         }
     }
 
-    /// Gives `worker` one lease, of the first job in turn that has one for it, among those of the highest priority.
+    /// Gives `worker` one lease, of the first job in turn that has one for it.
     fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) -> bool {
-        let mut order: Vec<JobId> = self.turn.iter().copied().collect();
-        order.sort_by_key(|job| core::cmp::Reverse(self.jobs.get(job).map_or(0, |j| j.priority)));
-        for job in order {
+        for place in 0..self.turn.len() {
+            let Some(&job) = self.turn.get(place) else { return false };
             let Some((phase, Retry { range, history, .. })) = self.next_task(job, worker) else { continue };
-            // To the back: among several jobs, each gets one lease in turn.
-            self.turn.retain(|&j| j != job);
-            self.turn.push_back(job);
+            self.turn.remove(place);
+            self.queue(job);
             self.prepare(worker, job, out);
             self.open(now, worker, (job, phase), range, history, out);
             return true;
         }
         false
+    }
+
+    /// Puts a job behind all others of its priority: among those, each gets one lease in turn.
+    pub(super) fn queue(&mut self, job: JobId) {
+        let priority = |job: &JobId| self.jobs.get(job).map_or(0, |j| j.priority);
+        let before = self.turn.iter().take_while(|other| priority(other) >= priority(&job)).count();
+        self.turn.insert(before, job);
     }
 
     /// Announces `job` to `worker`, if that is new to it.

@@ -67,7 +67,7 @@ struct Completed {
 pub struct Scheduler {
     policy: Policy,
     jobs: BTreeMap<JobId, Job>,
-    /// Jobs in the order in which they get the next lease.
+    /// Jobs in the order in which they get the next lease, those of the highest priority first.
     turn: VecDeque<JobId>,
     workers: Workers,
     leases: BTreeMap<LeaseId, OpenLease>,
@@ -182,7 +182,7 @@ impl Scheduler {
             return;
         };
         self.jobs.insert(id, job);
-        self.turn.push_back(id);
+        self.queue(id);
         self.advance(id, out);
     }
 

@@ -22,6 +22,11 @@ fn range(first: u64, end: u64) -> EmissionRange {
     EmissionRange { first, end }
 }
 
+/// A result with one photon that took no time.
+fn result(worker: WorkerId, lease: u64, attempt: u32, range: EmissionRange) -> Event {
+    let (lease, busy, digest) = (LeaseId(lease), Duration::ZERO, Digest([9; 32]));
+    Event::Completed { worker, lease, attempt, range, busy, stored: 1, digest }
+}
 fn submitted(job: JobId, phases: Vec<Phase>) -> Event {
     Event::Submitted { job, phases, terms: Box::default() }
 }
@@ -204,17 +209,7 @@ fn a_silent_worker_is_dead_and_what_it_says_later_is_stale() {
     let reason = "no heartbeat for 10 s".to_owned();
     assert_eq!(b.event(Event::Tick), [Command::Dismiss { worker: A, reason }]);
     assert_eq!(b.join(B), [prepare(B), emit(B, 2, 2, range(0, 10))]);
-    let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let late = Event::Completed {
-        worker: A,
-        lease,
-        attempt: 1,
-        range: range(0, 10),
-        busy,
-        stored: 1,
-        digest: Digest([9; 32]),
-    };
-    assert_eq!(b.event(late), [stale(1)]);
+    assert_eq!(b.event(result(A, 1, 1, range(0, 10))), [stale(1)]);
 }
 
 #[test]
@@ -250,17 +245,7 @@ fn a_result_counts_once() {
     let mut b = Bench::with_job(policy(), 100, 1);
     b.join(A);
     b.complete(A, 1);
-    let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let again = Event::Completed {
-        worker: A,
-        lease,
-        attempt: 1,
-        range: range(0, 10),
-        busy,
-        stored: 1,
-        digest: Digest([9; 32]),
-    };
-    assert_eq!(b.event(again), [stale(1)]);
+    assert_eq!(b.event(result(A, 1, 1, range(0, 10))), [stale(1)]);
     assert_eq!(b.scheduler.job(JOB).map(|j| j.total(Kind::Emission(MapKind::Global)).units), Some(10));
 }
 
@@ -269,14 +254,10 @@ fn results_of_others_leases_attempts_and_ranges_do_not_count() {
     let mut b = Bench::with_job(policy(), 100, 1);
     b.join(A);
     b.join(B);
-    let done = |worker, lease, attempt, range| {
-        let (lease, busy) = (LeaseId(lease), Duration::ZERO);
-        Event::Completed { worker, lease, attempt, range, busy, stored: 1, digest: Digest([9; 32]) }
-    };
-    assert_eq!(b.event(done(B, 1, 1, range(0, 10))), [stale(1)]);
-    assert_eq!(b.event(done(A, 1, 2, range(0, 10))), [stale(1)]);
-    assert_eq!(b.event(done(A, 99, 1, range(0, 10))), [stale(99)]);
-    let wrong = b.event(done(A, 1, 1, range(0, 9)));
+    assert_eq!(b.event(result(B, 1, 1, range(0, 10))), [stale(1)]);
+    assert_eq!(b.event(result(A, 1, 2, range(0, 10))), [stale(1)]);
+    assert_eq!(b.event(result(A, 99, 1, range(0, 10))), [stale(99)]);
+    let wrong = b.event(result(A, 1, 1, range(0, 9)));
     assert_eq!(wrong[0], Command::Discard { lease: LeaseId(1), reason: Discarded::WrongRange });
     // It counts as A's failure: A gets other indices, B the failed ones.
     assert_eq!(wrong[1..], [emit(A, 3, 1, range(20, 30))]);
@@ -387,17 +368,7 @@ fn cancelling_revokes_forgets_and_ends() {
     ];
     assert_eq!(b.event(Event::Cancelled { job: JOB }), end);
     assert_eq!(b.event(Event::Cancelled { job: JOB }), []);
-    let (lease, busy) = (LeaseId(1), Duration::ZERO);
-    let late = Event::Completed {
-        worker: A,
-        lease,
-        attempt: 1,
-        range: range(0, 10),
-        busy,
-        stored: 1,
-        digest: Digest([9; 32]),
-    };
-    assert_eq!(b.event(late), [stale(1)]);
+    assert_eq!(b.event(result(A, 1, 1, range(0, 10))), [stale(1)]);
     assert_eq!(b.event(built(0, GLOBAL)), []);
 }
 

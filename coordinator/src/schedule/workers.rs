@@ -58,6 +58,10 @@ impl Worker {
             completed: 0,
         }
     }
+    /// Whether it may have more leases, if it has room.
+    pub fn is_ready(&self) -> bool {
+        !self.draining && self.behind.is_empty()
+    }
     /// Units per second of a phase, where it was measured.
     pub fn rate(&self, phase: PhaseKey) -> Option<f64> {
         self.rates.get(&phase).copied()

@@ -1,6 +1,7 @@
 //! The film in the making: the tiles and the light images of all rounds become one film, and its noise is known.
 
 mod pixels;
+mod restart;
 
 use super::light_image::Mutations;
 use super::sample_map::{Pilot, SampleMap};
@@ -9,8 +10,6 @@ use crate::settings::Layer;
 use pixels::{Counts, add_light, add_pixel, between, mean_pixel, median_around};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-
-mod restart;
 
 /// Collects the tiles of a job's rounds, one round after the other.
 ///

@@ -9,18 +9,17 @@
 //! area has half of it, so twice the difference of both is the bias. One half of the photons tells it for one camera sample, the other
 //! half for the other one; in their product noise has no part.
 
-use super::photon_map::{GatherSettings, PhotonGather, Reading};
+use super::photon_map::{GatherSettings, PhotonGather, Query, Reading};
 use crate::film::map_error::MapError;
 use crate::math::rng::mix64;
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Rgb};
 use crate::photon::estimate::{Gather, irradiance_by};
-use crate::photon::map::{PhotonMap, PhotonMaps};
+use crate::photon::map::PhotonMaps;
 use crate::photon::precomputed;
 use crate::photon::query::NeighbourBuffer;
 use crate::scene::{Camera, Scene};
 use crate::settings::RenderSettings;
-use glam::Vec3;
 use rayon::prelude::*;
 
 /// One pixel is looked at for so many camera samples of the image: a small share of the work.
@@ -39,30 +38,16 @@ struct Half {
 }
 
 impl Reading for Half {
-    fn irradiance(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb {
-        let mut gather = *gather;
+    fn irradiance(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb {
+        let mut gather = *at.gather;
         if self.is_inner {
             gather = Gather { k: gather.k / 2, max_radius_squared: 0.5 * gather.max_radius_squared, ..gather };
         }
         let weight = |i: u32| if mix64(!u64::from(i)) >> 63 == self.number { 2.0 } else { 0.0 };
-        irradiance_by(map, position, normal, &gather, buffer, weight).irradiance
+        irradiance_by(at.map, at.position, at.normal, &gather, buffer, weight).irradiance
     }
-    fn precomputed(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb {
-        self.irradiance(map, position, normal, &precomputed::effective(gather), buffer)
+    fn precomputed(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb {
+        self.irradiance(Query { gather: &precomputed::effective(at.gather), ..at }, buffer)
     }
 }
 

@@ -39,26 +39,25 @@ pub struct GatherSettings {
     pub direct_from_map: bool,
 }
 
-/// How the light of a map is read around a point with a normal.
+/// Where the light of a map is asked for.
+#[derive(Clone, Copy)]
+pub struct Query<'a> {
+    /// The map.
+    pub map: &'a PhotonMap,
+    /// The point, scene space.
+    pub position: Vec3,
+    /// The unit normal of its surface, on the side that is seen.
+    pub normal: Vec3,
+    /// How densities are estimated.
+    pub gather: &'a Gather,
+}
+
+/// How the light of a map is read.
 pub trait Reading {
     /// Irradiance, where it is looked at.
-    fn irradiance(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb;
+    fn irradiance(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb;
     /// Irradiance, where a final-gather ray arrives.
-    fn precomputed(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb;
+    fn precomputed(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb;
 }
 
 /// All photons; precomputed nearby for final gather (Christensen 1999).
@@ -66,25 +65,11 @@ pub trait Reading {
 pub struct Whole;
 
 impl Reading for Whole {
-    fn irradiance(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb {
-        estimate::irradiance_into(map, position, normal, gather, buffer).irradiance
+    fn irradiance(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb {
+        estimate::irradiance_into(at.map, at.position, at.normal, at.gather, buffer).irradiance
     }
-    fn precomputed(
-        &self,
-        map: &PhotonMap,
-        position: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        buffer: &mut NeighbourBuffer,
-    ) -> Rgb {
-        map.precomputed(gather.k).irradiance(map, position, normal, gather, buffer)
+    fn precomputed(&self, at: Query<'_>, buffer: &mut NeighbourBuffer) -> Rgb {
+        at.map.precomputed(at.gather.k).irradiance(at.map, at.position, at.normal, at.gather, buffer)
     }
 }
 
@@ -394,14 +379,14 @@ impl<R: Reading> PhotonGather<'_, R> {
     }
 
     fn irradiance(&mut self, map: &PhotonMap, position: Vec3, normal: Vec3, gather: &Gather) -> Rgb {
-        self.reading.irradiance(map, position, normal, gather, &mut self.buffer)
+        self.reading.irradiance(Query { map, position, normal, gather }, &mut self.buffer)
     }
 
     /// Irradiance where a final-gather ray arrives.
     fn precomputed(&mut self, map: &PhotonMap, point: &SurfacePoint, wo: Vec3) -> Rgb {
         let gather = &self.settings.global;
-        let normal = facing(point.ng, wo);
-        self.reading.precomputed(map, point.position, normal, gather, &mut self.buffer)
+        let at = Query { map, position: point.position, normal: facing(point.ng, wo), gather };
+        self.reading.precomputed(at, &mut self.buffer)
     }
 }
 

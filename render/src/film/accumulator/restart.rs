@@ -21,6 +21,7 @@ impl Accumulator {
             && self.blocks == fresh.blocks
             && self.blur.is_some() == fresh.blur.is_some()
             && self.standard_error == fresh.standard_error
+            && self.pilot == fresh.pilot
             && shape(self) == shape(fresh)
             && self.pilot == fresh.pilot
             && self.sample_map.is_some() == self.pilot.is_some_and(|rounds| self.closed >= rounds)
