@@ -4,6 +4,7 @@ mod open_ended;
 mod options;
 pub mod strategies;
 
+pub use open_ended::ENDLESS;
 pub use options::Setting;
 pub(crate) use options::enumerate;
 pub use strategies::Strategy;

@@ -98,8 +98,17 @@ impl Drop for Process {
 
 /// The most resident memory that the process of this number ever had, in bytes: the kernel's high-water mark.
 pub fn high_water(id: u32) -> Option<u64> {
+    status(id, "VmHWM:")
+}
+
+/// Memory of the process `id` that is resident now, bytes.
+pub fn resident(id: u32) -> Option<u64> {
+    status(id, "VmRSS:")
+}
+
+fn status(id: u32, field: &str) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
-    let kib = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse().ok());
+    let kib = status.lines().find_map(|l| l.strip_prefix(field)?.trim().strip_suffix(" kB")?.trim().parse().ok());
     kib.map(|k: u64| k * 1024)
 }
 

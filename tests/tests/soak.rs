@@ -2,7 +2,7 @@
 
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::cluster::{finished_exr, request};
-use gatherlight_tests::processes::worker;
+use gatherlight_tests::processes::{resident, worker};
 use gatherlight_tests::random::Random;
 use gatherlight_tests::real_cluster::{RealCluster, right_pixels, settings};
 use gatherlight_tests::{pixel_sha256, scene};
@@ -27,13 +27,10 @@ fn small(seed: u64) -> RenderSettings {
     }
 }
 
-/// Resident memory in KiB and open files of a process.
+/// Resident memory in bytes and open files of a process.
 fn footprint(process: u32) -> (u64, usize) {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("runs");
-    let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).expect("is said");
-    let memory = line.trim().trim_end_matches(" kB").parse().expect("a number");
     let files = std::fs::read_dir(format!("/proc/{process}/fd")).expect("runs").count();
-    (memory, files)
+    (resident(process).expect("runs"), files)
 }
 
 fn files_in(directory: &Path) -> usize {
@@ -71,7 +68,7 @@ async fn two_hundred_jobs_and_killed_workers_leave_nothing_behind() {
     run(&mut cluster, 140, &mut kill_workers).await;
     let after = footprint(cluster.coordinator_id());
     // Two hundred records of jobs, and an allocator that keeps some pages, but no maps, films or sockets.
-    assert!(after.0 < before.0 + (24 << 10), "memory: {} KiB after 60 jobs, {} after 200", before.0, after.0);
+    assert!(after.0 < before.0 + (24 << 20), "memory: {} bytes after 60 jobs, {} after 200", before.0, after.0);
     assert!(after.1 <= before.1 + 4, "open files: {} after 60 jobs, {} after 200", before.1, after.1);
     // The scene, and one image of each method.
     assert!(files_in(&cluster.store.path().join("blobs")) <= 1 + 4);

@@ -6,6 +6,7 @@ use super::{json, print_json, print_result};
 use crate::types::{JobProgress, JobState, Limits};
 use clap::Args;
 use gatherlight_render::film::Noise;
+use gatherlight_render::settings::ENDLESS;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 use std::io::IsTerminal;
@@ -110,12 +111,9 @@ const ROUNDS: &str = "rounds";
 /// `round 3 of 64`, where there are several; `round 3` of a job that a limit is to end.
 pub(super) fn round(p: &JobProgress) -> Option<String> {
     let going = p.rounds > 1 && !p.state.is_final() && p.state != JobState::Waiting;
-    let of = if p.rounds < ENDLESS_ROUNDS { format!(" of {}", p.rounds) } else { String::new() };
+    let of = if p.rounds < ENDLESS { format!(" of {}", p.rounds) } else { String::new() };
     going.then(|| format!("round {}{of}", u64::from(p.round) + 1))
 }
-
-/// Rounds from which on they are not what is expected to end a job.
-const ENDLESS_ROUNDS: u32 = 1 << 15;
 
 /// The time until a limit ends the job, as far as can be told: noise falls with the root of the time.
 fn left_until_limit(elapsed: Duration, noise: Option<Noise>, limits: Limits) -> Option<Duration> {

@@ -3,7 +3,7 @@
 use super::{MAX_CHAINS, MAX_MUTATIONS, MAX_PHOTONS, MAX_ROUNDS, MAX_SAMPLES, Method, RenderSettings};
 
 /// Number of parts from which on a job is expected to be ended by a limit rather than by them.
-const ENDLESS: u32 = 1 << 15;
+pub const ENDLESS: u32 = 1 << 15;
 
 impl RenderSettings {
     /// The same with so many samples, rounds or chains that a limit ends the job. What one of them computes stays the same: a
