@@ -1,6 +1,6 @@
 //! Tiles and light image → image. Runs on the compute threads.
 
-use crate::driver::{Image, KeepImage};
+use crate::driver::{Image, KeepImage, StatedError};
 use crate::reduce::LightSum;
 use crate::store::Store;
 use gatherlight_render::export::ImageMetadata;
@@ -25,8 +25,8 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    /// The whole film.
-    fn film(self) -> Result<Film, String> {
+    /// The whole film, and what it says of its error.
+    fn film(self) -> Result<(Film, StatedError), String> {
         let Parts { prepared, mut film, rounds, light, bootstrap } = self;
         // A single round is closed here.
         if film.closed_rounds() == 0 && (film.is_round_complete() || prepared.is_splatted()) {
@@ -39,7 +39,8 @@ impl Parts {
         if film.closed_rounds() != rounds {
             return Err("tiles are missing from the image".into());
         }
-        Ok(film.finish())
+        let error = StatedError::of(&film);
+        Ok((film.finish(), error))
     }
 }
 
@@ -47,14 +48,15 @@ impl Parts {
 ///
 /// # Errors
 /// When tiles are missing, or the image cannot be encoded or stored.
-pub(crate) fn finish(parts: Parts, metadata: &ImageMetadata, keep: KeepImage, store: &Store) -> Result<Image, String> {
-    let film = parts.film()?;
-    match keep {
-        KeepImage::Film => Ok(Image::Film(film, Box::new(metadata.clone()))),
+pub(crate) fn finish(parts: Parts, metadata: &ImageMetadata, keep: KeepImage, store: &Store) -> Result<(Image, StatedError), String> {
+    let (film, error) = parts.film()?;
+    let image = match keep {
+        KeepImage::Film => Image::Film(film, Box::new(metadata.clone())),
         KeepImage::Exr => {
             let exr = exr::encode(&film, metadata).map_err(|e| e.to_string())?;
             drop(film);
-            store.put(exr.into()).map(Image::Stored).map_err(|e| e.to_string())
+            Image::Stored(store.put(exr.into()).map_err(|e| e.to_string())?)
         }
-    }
+    };
+    Ok((image, error))
 }

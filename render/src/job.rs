@@ -179,7 +179,15 @@ impl PreparedJob {
             && (scene.has_diffuse() || settings.keep_all);
         let aim = if wants_aim { AimedEmission::new(&scene) } else { None };
         let plan = Plan::new(&scene, &camera, settings, aim.as_ref(), parts);
-        Ok(PreparedJob { settings: settings.clone(), digest, scene, camera, aim, plan, warnings })
+        // As they are divided, so that who asks for as many gets the same image.
+        let mut settings = settings.clone();
+        if settings.divide_photons {
+            let paths = |e: &Option<EmissionPlan>, given| e.map_or(given, |e| e.paths);
+            settings.photons = paths(&plan.global, settings.photons);
+            settings.caustic_photons = paths(&plan.caustic, settings.caustic_photons);
+            settings.divide_photons = false;
+        }
+        Ok(PreparedJob { settings, digest, scene, camera, aim, plan, warnings })
     }
 
     /// The settings.

@@ -9,24 +9,31 @@ mod memory;
 pub use crate::scene::description::{PlanEntry, Saving};
 
 use crate::film::{LightImage, TileGrid};
-use crate::integrator::{progressive, vcm};
+use crate::integrator::progressive::{FirstRound, first_caustic_radius, first_global_radius};
+use crate::integrator::vcm;
 use crate::material::Material;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
 use crate::photon::trace::{Emission, Storage};
-use crate::photon::{EmissionRange, MapKind};
+use crate::photon::pack::decode_rgbe;
+use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::scene::{Camera, Scene};
 use crate::settings::{Layer, Method, RenderSettings};
 use entries::{Entries, materials};
 
 /// Photon paths traced to estimate how many photons a map will hold.
 const PILOT_PATHS: u64 = 4096;
+/// Photons that they should leave where a radius follows from them; where they leave fewer, there are [`LARGE_PILOT`] times as many paths.
+const PILOT_PHOTONS: usize = 32;
+const LARGE_PILOT: u64 = 8;
 
 /// One emission pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmissionPlan {
     /// Emitted paths.
     pub paths: u64,
+    /// Of them, those of the pilot run.
+    pub pilot: u64,
     /// Which hits are stored.
     pub storage: Storage,
     /// Expected number of stored photons, by a pilot run.
@@ -71,13 +78,14 @@ impl Plan {
             entries.add(
                 "map of light vertices",
                 true,
-                describe(v, "where light paths meet surfaces that are not mirrors"),
+                describe(v, "where light paths meet surfaces that are not mirrors", settings),
             );
         }
-        let global = plan_global(scene, settings, pixel);
+        let global = plan_global(scene, settings);
+        let caustic = plan_caustic(scene, settings, aim);
+        let [global, caustic] = divided(global, caustic, settings).map(|p| p.map(|p| p.plan(pixel)));
         let global = report_map("global photon map", "light on diffuse surfaces", global, settings, &mut entries);
         let global = vertices.or(global);
-        let caustic = plan_caustic(scene, settings, aim, pixel);
         let what = "light focused by specular and glossy surfaces";
         let caustic = report_map("caustic photon map", what, caustic, settings, &mut entries);
         if caustic.is_some() || reads_photons(settings.method) {
@@ -133,8 +141,9 @@ fn plural(n: usize) -> &'static str {
     if n == 1 { "" } else { "s" }
 }
 
-fn describe(e: &EmissionPlan, what: &str) -> String {
-    format!("{what}: {} paths emitted, about {} photons stored", e.paths, e.expected_stored)
+fn describe(e: &EmissionPlan, what: &str, settings: &RenderSettings) -> String {
+    let up_to = if settings.is_open_ended() { "up to " } else { "" };
+    format!("{what}: {up_to}{} paths emitted, about {} photons stored", e.paths, e.expected_stored)
 }
 
 /// Adds the entry of a map, or why there is none.
@@ -147,11 +156,11 @@ fn report_map(
 ) -> Option<EmissionPlan> {
     match map {
         Ok(e) => {
-            entries.add(name, true, describe(&e, what)).because([format!(
+            entries.add(name, true, describe(&e, what, settings)).because([format!(
                 "{} photons of {} paths are expected, from the first {}",
                 e.expected_stored,
                 e.paths,
-                PILOT_PATHS.min(e.paths)
+                e.pilot
             )]);
             Some(e)
         }
@@ -206,10 +215,10 @@ fn plan_vertices(scene: &Scene, camera: &Camera, settings: &RenderSettings, pixe
     let (stored, chosen) = vcm::choose_first_radius(&round, EmissionRange { first: 0, end: pilot }, pixel);
     let expected_stored = (stored as u128 * u128::from(paths) / u128::from(pilot.max(1))) as u64;
     let first_radius = settings.max_radius.map_or(chosen, |r| scene.space.length(f64::from(r)));
-    Some(EmissionPlan { paths, storage: Storage::All, expected_stored, first_radius })
+    Some(EmissionPlan { paths, pilot, storage: Storage::All, expected_stored, first_radius })
 }
 
-fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<EmissionPlan, LeftOut> {
+fn plan_global<'a>(scene: &'a Scene, settings: &'a RenderSettings) -> Result<Pilot<'a>, LeftOut> {
     let paths = settings.photons;
     let out = |reason: String| LeftOut { reason, paths };
     common_reason(scene, settings).map_err(out)?;
@@ -218,15 +227,14 @@ fn plan_global(scene: &Scene, settings: &RenderSettings, pixel: f32) -> Result<E
     }
     let gathers = settings.method == Method::Photon && settings.final_gather > 0;
     let storage = if gathers || settings.direct_from_map { Storage::All } else { Storage::Indirect };
-    Ok(emission_plan(scene, settings, MapKind::Global, storage, paths, None, pixel))
+    Ok(Pilot::trace(scene, settings, MapKind::Global, storage, paths, None))
 }
 
-fn plan_caustic(
-    scene: &Scene,
-    settings: &RenderSettings,
-    aim: Option<&AimedEmission>,
-    pixel: f32,
-) -> Result<EmissionPlan, LeftOut> {
+fn plan_caustic<'a>(
+    scene: &'a Scene,
+    settings: &'a RenderSettings,
+    aim: Option<&'a AimedEmission>,
+) -> Result<Pilot<'a>, LeftOut> {
     let paths = settings.caustic_photons;
     let out = |reason: &str| LeftOut { reason: reason.into(), paths };
     common_reason(scene, settings).map_err(|reason| LeftOut { reason, paths })?;
@@ -242,7 +250,7 @@ fn plan_caustic(
     if aim.is_none() && !settings.keep_all {
         return Err(out("no light reaches a specular or glossy surface"));
     }
-    Ok(emission_plan(scene, settings, MapKind::Caustic, Storage::Caustic, paths, aim, pixel))
+    Ok(Pilot::trace(scene, settings, MapKind::Caustic, Storage::Caustic, paths, aim))
 }
 
 /// Whether `method` gathers from photon maps.
@@ -283,29 +291,91 @@ fn common_reason(scene: &Scene, settings: &RenderSettings) -> Result<(), String>
     Ok(())
 }
 
-fn emission_plan(
-    scene: &Scene,
-    settings: &RenderSettings,
+/// A map that is wanted, and what a few of its paths leave.
+struct Pilot<'a> {
+    scene: &'a Scene,
+    settings: &'a RenderSettings,
+    aim: Option<&'a AimedEmission>,
     kind: MapKind,
     storage: Storage,
+    /// Paths that the map is to have.
     paths: u64,
-    aim: Option<&AimedEmission>,
-    pixel: f32,
-) -> EmissionPlan {
-    let pilot = PILOT_PATHS.min(paths);
-    let emission = Emission { scene, kind, storage, seed: settings.seed, round: 0, aim };
-    let photons = emission.trace(EmissionRange { first: 0, end: pilot });
-    let stored = photons.len() as u64;
-    let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(pilot.max(1))) as u64;
-    let first_radius = match (settings.method, settings.max_radius) {
-        (Method::Progressive, None) => {
-            let map = PhotonMap::build(kind, photons);
-            let photons = progressive::first_round_photons(kind, settings.kernel);
-            progressive::first_radius(&map, settings.share_of_round(paths, 0), pixel, photons)
+    photons: PhotonBatch,
+}
+
+impl<'a> Pilot<'a> {
+    fn trace(
+        scene: &'a Scene,
+        settings: &'a RenderSettings,
+        kind: MapKind,
+        storage: Storage,
+        paths: u64,
+        aim: Option<&'a AimedEmission>,
+    ) -> Self {
+        let photons = PhotonBatch::new(EmissionRange { first: 0, end: 0 }, false);
+        let pilot = Pilot { scene, settings, aim, kind, storage, paths, photons };
+        let photons = pilot.emit(storage, PILOT_PATHS);
+        let is_enough = photons.len() >= PILOT_PHOTONS || !pilot.finds_radius();
+        Pilot { photons: if is_enough { photons } else { pilot.emit(storage, LARGE_PILOT * PILOT_PATHS) }, ..pilot }
+    }
+    /// Whether the first round's radius follows from it.
+    fn finds_radius(&self) -> bool {
+        self.settings.method == Method::Progressive && self.settings.max_radius.is_none()
+    }
+    /// What the first `paths` paths leave.
+    fn emit(&self, storage: Storage, paths: u64) -> PhotonBatch {
+        let Pilot { scene, kind, aim, .. } = *self;
+        let emission = Emission { scene, kind, storage, seed: self.settings.seed, round: 0, aim };
+        emission.trace(EmissionRange { first: 0, end: paths.min(self.paths) })
+    }
+    /// Power that falls on its surfaces, weighted as it is seen.
+    fn light(&self) -> f64 {
+        let power = |&code| f64::from(decode_rgbe(code).luminance());
+        self.photons.powers.iter().map(power).sum::<f64>() / self.photons.range.len().max(1) as f64
+    }
+    /// The map as it will be made, for `pixel`s of that width on the surfaces that are seen.
+    fn plan(self, pixel: f32) -> EmissionPlan {
+        let (settings, kind, paths, storage) = (self.settings, self.kind, self.paths, self.storage);
+        let (pilot, stored) = (self.photons.range.len(), self.photons.len() as u64);
+        let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(pilot.max(1))) as u64;
+        let first_radius = match self.finds_radius() {
+            true => {
+                let round = FirstRound { paths: settings.share_of_round(paths, 0), pixel, kernel: settings.kernel };
+                let all = (kind == MapKind::Global).then(|| PhotonMap::build(kind, self.emit(Storage::All, pilot)));
+                let map = PhotonMap::build(kind, self.photons);
+                match all {
+                    Some(all) => first_global_radius(&map, &all, round),
+                    None => first_caustic_radius(&map, round),
+                }
+            }
+            false => settings.max_radius.map_or(0.0, |r| self.scene.space.length(f64::from(r))),
+        };
+        EmissionPlan { paths, pilot, storage, expected_stored, first_radius }
+    }
+}
+
+/// Least share of the paths that a map gets, of two.
+const LEAST_SHARE: f64 = 0.25;
+
+/// Both maps with the paths that they have together divided between them, where the settings ask for that: as the roots of the light that
+/// they hold, which makes the noise of both together least if that of a single photon goes with its power alone.
+fn divided<'a>(
+    global: Result<Pilot<'a>, LeftOut>,
+    caustic: Result<Pilot<'a>, LeftOut>,
+    settings: &RenderSettings,
+) -> [Result<Pilot<'a>, LeftOut>; 2] {
+    match (global, caustic) {
+        (Ok(global), Ok(caustic)) if settings.divide_photons => {
+            let [a, b] = [&global, &caustic].map(|p| p.light().sqrt());
+            let share = if a + b > 0.0 { (a / (a + b)).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE) } else { 0.5 };
+            // Of a round, so that all rounds are alike.
+            let of_round = settings.share_of_round(global.paths, 0) + settings.share_of_round(caustic.paths, 0);
+            let part = (of_round as f64 * share) as u64;
+            let [first, second] = [part, of_round - part].map(|paths| paths * u64::from(settings.rounds));
+            [Ok(Pilot { paths: first, ..global }), Ok(Pilot { paths: second, ..caustic })]
         }
-        (_, given) => given.map_or(0.0, |r| scene.space.length(f64::from(r))),
-    };
-    EmissionPlan { paths, storage, expected_stored, first_radius }
+        (global, caustic) => [global, caustic],
+    }
 }
 
 /// Bytes of a whole light image, where the method has one.

@@ -231,6 +231,8 @@ pub struct RenderSettings {
     pub photons: u64,
     /// Emitted paths of the caustic map.
     pub caustic_photons: u64,
+    /// Where there are both maps, the plan divides their paths anew between them, by the light that each holds.
+    pub divide_photons: bool,
     /// Neighbours of a density estimate.
     pub k: u32,
     /// Largest gather radius in world units; `None`: from the map's density.
@@ -277,6 +279,7 @@ impl Default for RenderSettings {
             max_depth: None,
             photons: 500_000,
             caustic_photons: 1_000_000,
+            divide_photons: false,
             k: 60,
             max_radius: None,
             final_gather: 4,

@@ -133,6 +133,7 @@ impl OptionArgs {
         s.max_depth = self.max_depth;
         set(&mut s.photons, p.photons);
         set(&mut s.caustic_photons, p.caustic_photons);
+        s.divide_photons = s.method == Method::Progressive && p.photons.is_none() && p.caustic_photons.is_none();
         set(&mut s.k, p.k);
         s.max_radius = p.max_radius;
         s.direct_from_map = p.direct_from_map;

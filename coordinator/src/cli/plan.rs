@@ -1,7 +1,7 @@
 //! `gatherlight plan`: what a render would do, without doing it.
 
 use super::error::CliResult;
-use super::preflight::Preflight;
+use super::preflight::{Preflight, plan_json};
 use super::scene::SceneArgs;
 use super::{print_json, print_result};
 use clap::Args;
@@ -35,7 +35,8 @@ pub(super) struct PlanArgs {
 
 pub(super) fn run(args: &PlanArgs) -> CliResult {
     let loaded = args.scene.load(false)?;
-    let preflight = Preflight::new(&loaded)?;
+    let job = loaded.prepare()?;
+    let preflight = Preflight::of(&job, &loaded.choice);
     let (bundle, settings) = (&loaded.bundle, &loaded.settings);
     preflight.report_warnings(args.strict)?;
     if args.json {
@@ -43,7 +44,7 @@ pub(super) fn run(args: &PlanArgs) -> CliResult {
             "scene": bundle.name,
             "scene_digest": preflight.digest,
             "settings": settings_text(settings),
-            "plan": preflight.json,
+            "plan": plan_json(&job, &loaded.choice),
             "warnings": preflight.warnings,
         }));
     } else {

@@ -3,7 +3,6 @@
 use super::error::CliError;
 use super::format::bytes;
 use super::progress::warn;
-use super::scene::Loaded;
 use crate::report;
 use crate::schedule::job::closes_rounds;
 use crate::types::WorkerInfo;
@@ -26,24 +25,13 @@ pub(super) struct Preflight {
     pub(super) worker_bytes: u64,
     /// What a user should know.
     pub(super) warnings: Vec<String>,
-    /// The plan for scripts.
-    pub(super) json: Value,
     /// Whether it has several rounds: a limit can end it between them, and its error is known by comparing them.
     pub(super) has_rounds: bool,
 }
 
 impl Preflight {
-    /// Imports and builds the scene and makes the plan.
-    ///
-    /// # Errors
-    /// When the scene or a setting makes no sense.
-    pub(super) fn new(loaded: &Loaded) -> Result<Self, CliError> {
-        Ok(Preflight::of(&PreparedJob::prepare(&loaded.bundle, &loaded.settings)?, &loaded.choice))
-    }
-
-    /// The same of a job that is prepared already, by the method of `choice`.
+    /// What a job by the method of `choice` will lead to.
     pub(super) fn of(job: &PreparedJob, choice: &Choice) -> Self {
-        let phases = job.phases();
         let method = format!("method: {} — {}", choice.method.name(), choice.reason);
         Preflight {
             digest: job.scene_digest().to_string(),
@@ -52,8 +40,7 @@ impl Preflight {
             costs: costs(job.plan()),
             worker_bytes: job.plan().worker_bytes,
             warnings: job.warnings().to_vec(),
-            json: plan_json(job, choice),
-            has_rounds: closes_rounds(&phases),
+            has_rounds: closes_rounds(&job.phases()),
         }
     }
 
@@ -130,7 +117,8 @@ fn costs(plan: &Plan) -> String {
     text
 }
 
-fn plan_json(job: &PreparedJob, choice: &Choice) -> Value {
+/// The plan for scripts.
+pub(super) fn plan_json(job: &PreparedJob, choice: &Choice) -> Value {
     let plan = job.plan();
     let entries: Vec<Value> = plan.entries.iter().map(entry_json).collect();
     let emission = |e: &Option<EmissionPlan>| {

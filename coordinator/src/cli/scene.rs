@@ -35,6 +35,16 @@ pub(super) struct Loaded {
     pub(super) choice: Choice,
 }
 
+impl Loaded {
+    /// Imports and builds the scene and makes the plan.
+    ///
+    /// # Errors
+    /// When the scene or a setting makes no sense.
+    pub(super) fn prepare(&self) -> Result<PreparedJob, CliError> {
+        Ok(PreparedJob::prepare(&self.bundle, &self.settings)?)
+    }
+}
+
 impl SceneArgs {
     /// Reads the scene with every file it names, and checks the settings. Where a limit will end the job (`limited`), it has no other end
     /// but one that is given.

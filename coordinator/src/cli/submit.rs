@@ -57,7 +57,7 @@ pub(super) struct SubmitArgs {
 pub(super) fn run(args: &SubmitArgs) -> CliResult {
     let output = args.output.check()?;
     let loaded = args.scene.load(args.limits.is_given())?;
-    let preflight = Preflight::new(&loaded)?;
+    let preflight = Preflight::of(&loaded.prepare()?, &loaded.choice);
     preflight.report_warnings(args.strict)?;
     let limits = args.limits.limits(loaded.settings.method, preflight.has_rounds)?;
     args.messages.note(&preflight.text(false));

@@ -1,7 +1,7 @@
 //! How the rest of the coordinator speaks to the driver.
 
 use super::job::Spec;
-use super::live::ClosedRound;
+use super::live::{ClosedRound, StatedError};
 use super::resume::Resumed;
 use crate::result::Shape;
 use crate::room::Room;
@@ -53,7 +53,7 @@ pub(crate) enum Input {
     /// What was made of a phase.
     Built(JobId, Phase, Result<Built, String>),
     Closed(JobId, Result<ClosedRound, String>),
-    Assembled(JobId, Result<Image, String>),
+    Assembled(JobId, Result<(Image, StatedError), String>),
     /// A job that an earlier coordinator left is ready to go on.
     Resumed(JobId, Result<Box<Resumed>, String>),
     /// Room for so many bytes of blobs is wanted.

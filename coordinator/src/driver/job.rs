@@ -1,7 +1,7 @@
 //! What the driver holds for one job.
 
 use super::handle::NoImage;
-use super::live::Live;
+use super::live::{Live, StatedError};
 use crate::schedule::job::{Job, Stage, Step};
 use crate::schedule::work::Kind;
 use crate::schedule::{Outcome, Scheduler};
@@ -83,6 +83,10 @@ pub(super) struct JobRecord {
 }
 
 impl JobRecord {
+    /// Takes note of what the image says of its error.
+    pub(super) fn state_error(&mut self, error: StatedError) {
+        (self.stats.noise, self.stats.bias) = (error.noise, error.bias);
+    }
     /// A job that was submitted `age` ago, or one that has ended.
     pub(super) fn new(id: JobId, stored: StoredJob, age: Duration, now: Duration) -> Self {
         let last = stored.last.clone();

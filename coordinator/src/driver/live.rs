@@ -211,15 +211,15 @@ impl Live {
         let keeps = noted > film.bytes() as u64;
         Some(Round { phase, film, light: self.light.clone(), prepared, bootstrap, target: self.target, keeps })
     }
-    /// Takes back the film as it was kept; returns its noise and bias.
+    /// Takes back the film as it was kept; returns its error.
     ///
     /// # Errors
     /// When it is damaged or of another job.
-    pub(super) fn restore(&mut self, film: &[u8]) -> Result<(Option<Noise>, Option<Bias>), WireError> {
+    pub(super) fn restore(&mut self, film: &[u8]) -> Result<StatedError, WireError> {
         let restored = gatherlight_proto::payload::film::decode(film, &self.prepared.accumulator())?;
-        let (noise, bias) = (restored.noise(), restored.bias());
+        let error = StatedError::of(&restored);
         self.film = FilmState::Here(Box::new(restored));
-        Ok((noise, bias))
+        Ok(error)
     }
     /// Phases before round `round` whose inputs it and later ones read: bootstrap, sample map, and maps where no more are made.
     pub(super) fn kept_inputs(&self, round: u32) -> Vec<usize> {
@@ -325,28 +325,53 @@ impl Round {
         let sum = |parts: LightParts| parts.sum.finish(LightImage::clone(&parts.empty)).map_err(|e| e.to_string());
         let light = light.map(sum).transpose()?;
         prepared.close(&mut film, light.as_ref(), bootstrap.as_deref());
-        let noise = film.noise();
-        let bias = film.bias();
-        let is_known =
-            film.closed_rounds() >= LEAST_ROUNDS && noise.is_some() && (bias.is_some() || !film.is_blurred());
-        let error = noise.map(|n| n.relative.hypot(bias.map_or(0.0, |b| b.relative)));
-        let is_good_enough = is_known && error.zip(target).is_some_and(|(error, target)| error <= f64::from(target));
+        let error = (target.is_some() || is_told(film.closed_rounds())).then(|| StatedError::of(&film));
+        let is_good_enough = film.closed_rounds() >= LEAST_ROUNDS
+            && error.and_then(|e| e.total(&film)).zip(target).is_some_and(|(e, target)| e <= f64::from(target));
         // One that cannot be kept costs time after a restart, nothing else.
         let kept = if keeps { gatherlight_proto::payload::film::encode(&film).ok() } else { None };
-        Ok(ClosedRound { round, is_good_enough, noise, bias, film, kept })
+        Ok(ClosedRound { round, is_good_enough, error, film, kept })
     }
 }
 
 /// Rounds before whose closing no image is said to be good enough: the noise is known by their differences.
 const LEAST_ROUNDS: u32 = 4;
 
+/// Whether the error of the image is told when so many rounds are closed, if nothing hangs on it: of all the first, then of fewer, since
+/// it takes a pass over the image.
+fn is_told(rounds: u32) -> bool {
+    rounds.is_multiple_of((rounds / 16).max(1).next_power_of_two())
+}
+
+/// What an image says of its own error.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct StatedError {
+    pub(crate) noise: Option<Noise>,
+    pub(crate) bias: Option<Bias>,
+}
+
+impl StatedError {
+    /// That of the closed rounds, on the current rayon pool.
+    pub(crate) fn of(film: &Accumulator) -> Self {
+        StatedError { noise: film.noise(), bias: film.bias() }
+    }
+    /// Both together, relative; `None` while a part of it is not known.
+    fn total(&self, film: &Accumulator) -> Option<f64> {
+        let bias = match self.bias {
+            None if film.is_blurred() => return None,
+            bias => bias.map_or(0.0, |b| b.relative),
+        };
+        self.noise.map(|n| n.relative.hypot(bias))
+    }
+}
+
 /// A round that has been closed.
 #[derive(Debug)]
 pub(crate) struct ClosedRound {
     pub(super) round: u32,
     pub(super) is_good_enough: bool,
-    pub(super) noise: Option<Noise>,
-    pub(super) bias: Option<Bias>,
+    /// Where it was told.
+    pub(super) error: Option<StatedError>,
     pub(super) film: Box<Accumulator>,
     /// The film as it is to be kept.
     pub(super) kept: Option<Vec<u8>>,

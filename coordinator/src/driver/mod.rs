@@ -16,6 +16,7 @@ pub use handle::{Delivery, Handle, Joined, NoImage, Offered, Payload, Source, Su
 pub use job::Spec;
 
 pub(crate) use handle::{Built, Image, Made};
+pub(crate) use live::StatedError;
 
 use crate::broadcast::Broadcasts;
 use crate::compute::Compute;

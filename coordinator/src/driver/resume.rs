@@ -3,7 +3,7 @@
 use super::Sink;
 use super::handle::{Built, Made};
 use super::job::{Spec, first_stats};
-use super::live::Live;
+use super::live::{Live, StatedError};
 use crate::intake;
 use crate::result;
 use crate::room::Room;
@@ -98,7 +98,7 @@ impl Start {
     /// `None`: it is of no use.
     fn rounds(&mut self, saved: &SavedRounds) -> Option<()> {
         let StoredRounds { stats, gather_radii } = StoredRounds::decode(&saved.counts).ok()?;
-        let (noise, bias) = self.live.restore(&saved.film).ok()?;
+        let StatedError { noise, bias } = self.live.restore(&saved.film).ok()?;
         self.saved.rounds = saved.rounds;
         for phase in self.live.phases.iter().take_while(|p| p.round() < saved.rounds) {
             self.saved.totals.entry(Kind::of(*phase)).or_default().units += phase.units();

@@ -3,7 +3,7 @@
 
 use super::Driver;
 use super::handle::{Built, Handle, Image, Input, Made, Source};
-use super::live::ClosedRound;
+use super::live::{ClosedRound, StatedError};
 use super::resume::map_bytes;
 use crate::compute::Panicked;
 use crate::schedule::Event;
@@ -80,11 +80,12 @@ impl Driver {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let Some(live) = job.live.as_mut() else { return };
         let result = closed.and_then(|c| {
-            (job.stats.noise, job.stats.bias) = (c.noise, c.bias);
-            live.closed(c.film).map(|()| (c.round, c.is_good_enough, c.kept))
+            live.closed(c.film)?;
+            Ok((c.round, c.is_good_enough, c.error, c.kept))
         });
         match result {
-            Ok((round, is_good_enough, kept)) => {
+            Ok((round, is_good_enough, error, kept)) => {
+                error.into_iter().for_each(|error| job.state_error(error));
                 self.event(Event::Closed { job: id, round, is_good_enough });
                 if let Some(film) = kept {
                     self.note_rounds(id, film);
@@ -122,7 +123,7 @@ impl Driver {
         }
         let Some(live) = job.live.as_mut() else { return };
         let parts = live.parts(done);
-        let metadata = live.about.metadata(&job.stored.submission.settings, &job.stats);
+        let metadata = live.about.metadata(live.prepared().settings(), &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
         self.compute.spawn(
             move || assemble::finish(parts, &metadata, keep, &store),
@@ -131,8 +132,12 @@ impl Driver {
         self.refresh(id);
     }
 
-    pub(super) fn assembled(&mut self, id: JobId, image: Result<Image, String>) {
+    pub(super) fn assembled(&mut self, id: JobId, image: Result<(Image, StatedError), String>) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
+        let image = image.map(|(image, error)| {
+            job.state_error(error);
+            image
+        });
         match image {
             Ok(Image::Film(film, metadata)) => job.kept_film = Some((film, *metadata)),
             Ok(Image::Stored(blob)) => job.image = Some(blob),

@@ -88,16 +88,21 @@ pub struct Situation {
 
 impl Policy {
     /// Number of units of the next lease, ≥ 1: about [`Policy::target_lease`] of work, and near the end of a phase half
-    /// of the worker's share of what is left, so that all end together.
+    /// of the worker's share of what is left, so that all end together. A worker that has no others to wait for gets the rest.
     pub fn lease_units(&self, phase: Phase, s: Situation) -> u64 {
         let (probe, min, max) = match phase {
             Phase::Emission { .. } => (self.probe_paths, self.min_paths, self.max_paths),
             Phase::Bootstrap { .. } | Phase::SampleMap { .. } => (self.probe_paths, self.min_paths, self.max_paths),
             // A tile or a unit of a splat phase runs on one thread: fewer than threads leave some idle.
-            Phase::Gather { .. } | Phase::Splat { .. } => (u64::from(s.threads), 1, self.max_tiles),
+            Phase::Gather { .. } | Phase::Splat { .. } => {
+                let threads = u64::from(s.threads).max(1);
+                (threads, threads.min((s.remaining as f64 * s.share) as u64).max(1), self.max_tiles)
+            }
         };
         let wanted = s.rate.map_or(probe, |r| (r * self.target_lease.as_secs_f64()) as u64);
-        let tail = (s.remaining as f64 * s.share / 2.0).ceil() as u64;
+        // 1 for a worker alone, 2 from two equal ones on.
+        let parts = 1.0 + (2.0 * (1.0 - s.share)).min(1.0);
+        let tail = (s.remaining as f64 * s.share / parts).ceil() as u64;
         let photons = match s.stored_per_unit {
             x if x > 0.0 => (self.max_lease_photons as f64 / x) as u64,
             _ => max,

@@ -11,7 +11,7 @@
 
 use super::bdpt::Bdpt;
 use super::connect::Connector;
-use super::progressive::first_radius;
+use super::progressive::{FirstRound, first_radius};
 use super::radius::radius_of_round;
 use super::sample::Sample;
 use super::tile::SampleId;
@@ -22,6 +22,7 @@ use crate::material::TransportMode;
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Rgb};
 use crate::photon::estimate::for_each_on_surface;
+use crate::photon::kernel::Kernel;
 use crate::photon::map::PhotonMap;
 use crate::photon::pack::{encode_direction, encode_normal, encode_rgbe};
 use crate::photon::trace::in_parallel;
@@ -92,7 +93,8 @@ const FIRST_ROUND_VERTICES: f32 = 10.0;
 /// pilot's light vertices and the width of a `pixel` on the surfaces that are seen (see [`first_radius`]).
 pub fn choose_first_radius(round: &Round, pilot: EmissionRange, pixel: f32) -> (usize, f32) {
     let map = PhotonMap::build(MapKind::Global, round.emit(pilot));
-    (map.stored_count(), first_radius(&map, round.paths, pixel, FIRST_ROUND_VERTICES))
+    let first = FirstRound { paths: round.paths, pixel, kernel: Kernel::Constant };
+    (map.stored_count(), first_radius(&map, first, FIRST_ROUND_VERTICES))
 }
 
 /// Stores a light vertex.

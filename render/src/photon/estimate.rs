@@ -314,13 +314,18 @@ pub fn choose_max_radius(map: &PhotonMap, k: u32) -> f32 {
 /// the map. Scene space. Surfaces with fewer than k photons count with their extent, at least [`SPARSE_RADIUS`]; so does
 /// an empty map.
 pub fn neighbour_distance(map: &PhotonMap, k: u32, quantile: f32) -> f32 {
-    let (count, k) = (map.stored_count(), k.max(2) as usize);
+    distance_in(map, map, k, quantile)
+}
+
+/// The same from the photons of `places` to the k-th photon of `map` on their surface.
+pub fn distance_in(map: &PhotonMap, places: &PhotonMap, k: u32, quantile: f32) -> f32 {
+    let (count, k) = (places.stored_count(), k.max(2) as usize);
     let stride = count.div_ceil(RADIUS_SAMPLES).max(1);
     let mut buffer = NeighbourBuffer::new();
     let mut distances: Vec<f32> = (0..count)
         .step_by(stride)
         .map(|i| {
-            let (position, normal) = (map.position(i as u32), map.normal(i as u32));
+            let (position, normal) = (places.position(i as u32), places.normal(i as u32));
             let surface = SameSurface::new(map, position, normal);
             map.tree().k_nearest(position.to_array(), k, f32::INFINITY, |i| surface.accepts(i), &mut buffer);
             let farthest = buffer.farthest().map_or(0.0, |n| n.distance_squared.sqrt());
