@@ -48,7 +48,12 @@ impl Parts {
 ///
 /// # Errors
 /// When tiles are missing, or the image cannot be encoded or stored.
-pub(crate) fn finish(parts: Parts, metadata: &ImageMetadata, keep: KeepImage, store: &Store) -> Result<(Image, StatedError), String> {
+pub(crate) fn finish(
+    parts: Parts,
+    metadata: &ImageMetadata,
+    keep: KeepImage,
+    store: &Store,
+) -> Result<(Image, StatedError), String> {
     let (film, error) = parts.film()?;
     let image = match keep {
         KeepImage::Film => Image::Film(film, Box::new(metadata.clone())),

@@ -14,8 +14,8 @@ use crate::integrator::vcm;
 use crate::material::Material;
 use crate::photon::aim::AimedEmission;
 use crate::photon::map::PhotonMap;
-use crate::photon::trace::{Emission, Storage};
 use crate::photon::pack::decode_rgbe;
+use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::scene::{Camera, Scene};
 use crate::settings::{Layer, Method, RenderSettings};
@@ -158,9 +158,7 @@ fn report_map(
         Ok(e) => {
             entries.add(name, true, describe(&e, what, settings)).because([format!(
                 "{} photons of {} paths are expected, from the first {}",
-                e.expected_stored,
-                e.paths,
-                e.pilot
+                e.expected_stored, e.paths, e.pilot
             )]);
             Some(e)
         }

@@ -10,12 +10,17 @@ const BLOCKS: u32 = 4;
 
 /// Means over the image's 4 × 4 blocks and over the whole image, all channels, one row a seed.
 pub fn block_means(scene: &SceneDescription, settings: &RenderSettings, seeds: u64) -> Vec<Vec<f64>> {
-    (0..seeds)
-        .map(|seed| {
-            let seed = settings.seed + seed;
-            blocks(&render_description(scene.clone(), &RenderSettings { seed, ..settings.clone() }))
-        })
-        .collect()
+    block_means_of(settings, seeds, |settings| render_description(scene.clone(), settings))
+}
+
+/// The same of what `render` makes of the settings with each seed.
+pub fn block_means_of(
+    settings: &RenderSettings,
+    seeds: u64,
+    render: impl Fn(&RenderSettings) -> Film,
+) -> Vec<Vec<f64>> {
+    let seed = |seed| RenderSettings { seed: settings.seed + seed, ..settings.clone() };
+    (0..seeds).map(|s| blocks(&render(&seed(s)))).collect()
 }
 
 fn blocks(film: &Film) -> Vec<f64> {
@@ -55,10 +60,17 @@ pub fn assert_agree(
     bias: f64,
     noise: f64,
 ) {
-    let (a, b) = (block_means(scene, one, seeds), block_means(scene, other, seeds));
-    let names = [one.method.name(), other.method.name()];
+    let means = [one, other].map(|s| block_means(scene, s, seeds));
+    assert_same(name, [one, other].map(|s| s.method.name()), &means, bias, noise);
+}
+
+/// The same test of block means that are there already, of two estimators with these names.
+///
+/// # Panics
+/// When they differ, or are too noisy.
+pub fn assert_same(name: &str, names: [&str; 2], [a, b]: &[Vec<Vec<f64>>; 2], bias: f64, noise: f64) {
     for i in 0..a[0].len() {
-        let ((ma, va), (mb, vb)) = (column(&a, i), column(&b, i));
+        let ((ma, va), (mb, vb)) = (column(a, i), column(b, i));
         let sigma = (va + vb).sqrt();
         if ma == mb && sigma == 0.0 {
             // Both know it exactly: black, or a light seen directly.

@@ -3,10 +3,11 @@
 use gatherlight_render::film::LightImage;
 use gatherlight_render::integrator::Bootstrap;
 use gatherlight_render::job::{Inputs, Phase, PreparedJob};
+use gatherlight_render::local;
 use gatherlight_render::math::Rgb;
 use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::settings::{Method, RenderSettings};
-use gatherlight_tests::agree::assert_agree;
+use gatherlight_tests::agree::{assert_agree, assert_same, block_means, block_means_of};
 use gatherlight_tests::welch::Mean;
 use gatherlight_tests::{single, transport};
 use std::sync::Arc;
@@ -42,6 +43,21 @@ fn mirrors_and_absorbing_glass() {
 #[test]
 fn point_spot_and_directional_lights() {
     agrees_with_bdpt("sunny", 0.08);
+}
+
+/// A job that a limit ends has had the first of very many chains: they must start from all of the bootstrap, not from where it begins.
+#[test]
+fn chains_that_a_limit_cuts_off_start_everywhere() {
+    let (name, scene) = transport::rooms().into_iter().find(|(name, _)| *name == "specular").expect("a room");
+    let endless = settings().open_ended();
+    assert!(endless.is_open_ended() && endless.chains > 1_000 * settings().chains);
+    let cut_off = block_means_of(&endless, 16, |settings| {
+        let job = single::prepare(scene.clone(), settings);
+        local::run(&job, |film| film.samples() < u64::from(self::settings().chains)).film.finish()
+    });
+    let bdpt = RenderSettings { method: Method::Bdpt, samples: 32, seed: 100, ..settings() };
+    let means = [cut_off, block_means(&scene, &bdpt, 16)];
+    assert_same(name, ["mlt, cut off", "bdpt"], &means, 0.0, 0.15);
 }
 
 #[test]

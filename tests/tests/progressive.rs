@@ -2,11 +2,11 @@
 
 use gatherlight_render::film::LightImage;
 use gatherlight_render::integrator::radius::radius_of_round;
-use gatherlight_render::job::{Inputs, Phase};
+use gatherlight_render::job::{Inputs, Phase, PreparedJob};
 use gatherlight_render::photon::EmissionRange;
 use gatherlight_render::settings::{Layer, Merge, Method, RenderSettings};
 use gatherlight_tests::agree::{assert_agree, block_means, column};
-use gatherlight_tests::{single, transport};
+use gatherlight_tests::{scene, single, transport};
 
 const SIDE: u32 = 24;
 
@@ -105,4 +105,41 @@ fn independent_rounds_have_no_layers() {
     let s = RenderSettings { merge: Merge::Independent, layers: vec![Layer::Depth], ..settings(2) };
     let error = s.validate().expect_err("refused");
     assert!(error.to_string().contains("--merge shared"), "{error}");
+}
+
+fn by_default(name: &str, rounds: u32) -> (RenderSettings, PreparedJob) {
+    let s = RenderSettings { rounds, width: SIDE, height: SIDE, ..RenderSettings::for_method(Method::Progressive) };
+    let [photons, caustic_photons] = s.default_photons();
+    let s = RenderSettings { photons, caustic_photons, divide_photons: true, ..s };
+    let job = PreparedJob::prepare(&scene(&format!("{name}.glb")), &s).unwrap_or_else(|e| panic!("{e}"));
+    (s, job)
+}
+
+/// On caustic-ring nearly all indirect light is focused, on cornell-caustic one part in eight.
+#[test]
+fn photons_go_where_the_light_is() {
+    for (name, least, most) in [("caustic-ring", 0.25, 0.25), ("cornell-caustic", 0.6, 0.75)] {
+        let (given, job) = by_default(name, 8);
+        let [global, caustic] = [job.plan().global, job.plan().caustic].map(|e| e.map_or(0, |e| e.paths));
+        assert_eq!(global + caustic, given.photons + given.caustic_photons, "{name}");
+        let share = global as f64 / (global + caustic) as f64;
+        assert!((least..=most).contains(&share), "{name}: the global map has {share} of the paths");
+        assert_eq!([global % 8, caustic % 8], [0, 0], "{name}: all rounds are alike");
+    }
+    // One map is divided with none.
+    let (given, job) = by_default("cornell-diffuse", 8);
+    assert_eq!((job.plan().global.map(|e| e.paths), job.plan().caustic), (Some(given.photons), None));
+}
+
+/// Who reads the counts from an image and asks for them gets that image.
+#[test]
+fn what_was_divided_can_be_asked_for() {
+    let (_, divided) = by_default("cornell-caustic", 2);
+    let asked = divided.settings().clone();
+    assert!(!asked.divide_photons);
+    let again = PreparedJob::prepare(&scene("cornell-caustic.glb"), &asked).unwrap_or_else(|e| panic!("{e}"));
+    let radii =
+        |job: &PreparedJob| [job.plan().global, job.plan().caustic].map(|e| e.map(|e| (e.paths, e.first_radius)));
+    assert_eq!(radii(&again), radii(&divided));
+    assert_eq!(single::render(&again).rgb(), single::render(&divided).rgb());
 }

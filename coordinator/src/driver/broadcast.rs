@@ -4,13 +4,17 @@ use super::Driver;
 use super::handle::Source;
 use crate::random::random_bytes;
 use gatherlight_proto::Digest;
-use gatherlight_proto::message::{BlobRef, PassTicket, Route, SessionKey, ToWorker};
+use gatherlight_proto::message::{BlobRef, PassTicket, Route, SessionKey, ToWorker, WorkerId};
 
 impl Driver {
-    /// Tells the workers that relay, and have the memory for it, to get `blob` and pass it on.
+    /// Tells the workers that relay, have the memory for it and keep up, to get `blob` and pass it on. One that does not may come later, as
+    /// nobody's source.
     pub(super) fn announce(&mut self, blob: BlobRef) {
         let ticket = PassTicket(random_bytes());
-        let members = self.sessions.relays(blob.bytes);
+        let (now, quiet) = (self.now(), self.scheduler.policy().quiet_after);
+        let keeps_up = |id: WorkerId| self.scheduler.workers().get(&id).is_some_and(|w| w.is_prompt(now, quiet));
+        let mut members = self.sessions.relays(blob.bytes);
+        members.retain(|&(id, _)| keeps_up(id));
         for (worker, route) in self.broadcasts.announce(blob, ticket, members) {
             self.send(worker, ToWorker::Route(route));
         }

@@ -23,6 +23,8 @@ pub struct Policy {
     pub max_lease_photons: u64,
     /// Silence after which a worker is taken for dead: several heartbeats.
     pub dead_after: Duration,
+    /// Silence after which nobody is made to wait for what a worker passes on.
+    pub quiet_after: Duration,
     /// Shortest time a lease is given; doubled with every attempt.
     pub min_deadline: Duration,
     /// The same for units of a splat phase while the worker's rate is unknown: one may be a whole round.
@@ -57,6 +59,7 @@ impl Default for Policy {
             max_tiles: 1_024,
             max_lease_photons: 1 << 19,
             dead_after: Duration::from_secs(10),
+            quiet_after: Duration::from_millis(2_500),
             min_deadline: Duration::from_secs(120),
             min_splat_deadline: Duration::from_secs(1_800),
             least_bandwidth: 4e6,
@@ -161,10 +164,22 @@ mod tests {
         let with = |remaining| p.lease_units(GATHER, Situation { rate: Some(100.0), remaining, ..situation() });
         assert_eq!(with(400), 100);
         assert_eq!(with(100), 25);
+        assert_eq!(with(10), 4);
         assert_eq!(with(2), 1);
         assert_eq!(with(1), 1);
         let paths = p.lease_units(EMISSION, Situation { remaining: p.min_paths + 5, ..situation() });
         assert_eq!(paths, p.min_paths + 5);
+    }
+
+    #[test]
+    fn a_worker_alone_gets_a_phase_whole_and_each_thread_a_tile() {
+        let p = Policy::default();
+        let s = Situation { rate: Some(1e6), remaining: 64, ..situation() };
+        assert_eq!(p.lease_units(GATHER, Situation { share: 1.0, ..s }), 64);
+        assert_eq!(p.lease_units(EMISSION, Situation { share: 1.0, remaining: 24_576, ..s }), 24_576);
+        // Of many workers, none takes what would keep the others busy.
+        assert_eq!(p.lease_units(GATHER, Situation { remaining: 8, share: 0.5, ..s }), 4);
+        assert_eq!(p.lease_units(GATHER, Situation { remaining: 8, share: 0.1, ..s }), 1);
     }
 
     #[test]

@@ -62,6 +62,10 @@ impl Worker {
     pub fn is_ready(&self) -> bool {
         !self.draining && self.behind.is_empty()
     }
+    /// Whether it has kept up: it is outrun by nobody, and was heard within `quiet`. Others may then wait for what it passes on.
+    pub fn is_prompt(&self, now: Duration, quiet: Duration) -> bool {
+        self.is_ready() && now.saturating_sub(self.last_heard) <= quiet
+    }
     /// Units per second of a phase, where it was measured.
     pub fn rate(&self, phase: PhaseKey) -> Option<f64> {
         self.rates.get(&phase).copied()
@@ -96,3 +100,23 @@ impl Worker {
 
 /// All workers, by id.
 pub type Workers = BTreeMap<WorkerId, Worker>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_waits_for_one_that_is_silent_outrun_or_leaving() {
+        let at = Duration::from_secs;
+        let mut w = Worker::new(at(10), 1, 1 << 30);
+        let is_prompt = |w: &Worker, now| w.is_prompt(now, at(3));
+        assert!(is_prompt(&w, at(13)) && !is_prompt(&w, at(14)));
+        w.last_heard = at(14);
+        w.behind.insert(LeaseId(7));
+        assert!(!is_prompt(&w, at(14)), "its twin was faster");
+        w.behind.clear();
+        assert!(is_prompt(&w, at(14)));
+        w.draining = true;
+        assert!(!is_prompt(&w, at(14)));
+    }
+}

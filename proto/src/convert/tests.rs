@@ -26,6 +26,7 @@ fn settings() -> RenderSettings {
         max_depth: Some(6),
         photons: 7,
         caustic_photons: 8,
+        divide_photons: true,
         k: 9,
         max_radius: Some(0.25),
         final_gather: 10,

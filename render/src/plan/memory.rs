@@ -115,7 +115,13 @@ mod tests {
 
     #[test]
     fn a_method_with_rounds_holds_the_photons_of_one() {
-        let e = EmissionPlan { paths: 1_000, pilot: 1_000, storage: Storage::All, expected_stored: 2_000, first_radius: 0.1 };
+        let e = EmissionPlan {
+            paths: 1_000,
+            pilot: 1_000,
+            storage: Storage::All,
+            expected_stored: 2_000,
+            first_radius: 0.1,
+        };
         let settings = RenderSettings { method: Method::Progressive, rounds: 8, ..RenderSettings::default() };
         assert_eq!(stored_at_once(Some(&e), &settings), 250);
         assert_eq!(stored_at_once(Some(&e), &RenderSettings { rounds: 8, ..RenderSettings::default() }), 2_000);
