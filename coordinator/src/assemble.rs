@@ -50,15 +50,16 @@ impl Parts {
 /// When tiles are missing, or the image cannot be encoded or stored.
 pub(crate) fn finish(
     parts: Parts,
-    metadata: &ImageMetadata,
+    metadata: ImageMetadata,
     keep: KeepImage,
     store: &Store,
 ) -> Result<(Image, StatedError), String> {
     let (film, error) = parts.film()?;
+    let metadata = ImageMetadata { noise: error.noise, bias: error.bias, ..metadata };
     let image = match keep {
-        KeepImage::Film => Image::Film(film, Box::new(metadata.clone())),
+        KeepImage::Film => Image::Film(film, Box::new(metadata)),
         KeepImage::Exr => {
-            let exr = exr::encode(&film, metadata).map_err(|e| e.to_string())?;
+            let exr = exr::encode(&film, &metadata).map_err(|e| e.to_string())?;
             drop(film);
             Image::Stored(store.put(exr.into()).map_err(|e| e.to_string())?)
         }

@@ -356,7 +356,8 @@ impl<'a> Pilot<'a> {
 const LEAST_SHARE: f64 = 0.25;
 
 /// Both maps with the paths that they have together divided between them, where the settings ask for that: as the roots of the light that
-/// they hold, which makes the noise of both together least if that of a single photon goes with its power alone.
+/// they hold, which makes the noise of both together least if that of a single photon goes with its power alone. A map in which the pilot
+/// finds no light takes nothing from the other, as one that is left out.
 fn divided<'a>(
     global: Result<Pilot<'a>, LeftOut>,
     caustic: Result<Pilot<'a>, LeftOut>,
@@ -365,7 +366,10 @@ fn divided<'a>(
     match (global, caustic) {
         (Ok(global), Ok(caustic)) if settings.divide_photons => {
             let [a, b] = [&global, &caustic].map(|p| p.light().sqrt());
-            let share = if a + b > 0.0 { (a / (a + b)).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE) } else { 0.5 };
+            if a * b <= 0.0 {
+                return [Ok(global), Ok(caustic)];
+            }
+            let share = (a / (a + b)).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
             // Of a round, so that all rounds are alike.
             let of_round = settings.share_of_round(global.paths, 0) + settings.share_of_round(caustic.paths, 0);
             let part = (of_round as f64 * share) as u64;

@@ -210,6 +210,21 @@ fn an_error_limit_ends_a_job_after_the_same_round_everywhere() {
     }
 }
 
+/// While a job runs, its error is not told after every round; in the end it is that of all of them.
+#[test]
+fn the_error_that_is_stated_is_that_of_the_whole_image() {
+    let base =
+        RenderSettings { method: Method::Progressive, rounds: 37, width: 24, height: 24, ..RenderSettings::default() };
+    let settings = RenderSettings { photons: 37_000, caustic_photons: 37_000, ..base };
+    let case = Case::new(settings.clone());
+    let job = PreparedJob::prepare(&RING, &settings).unwrap_or_else(|e| panic!("{e}"));
+    let film = single::accumulate(&job);
+    let result = case.render(1, 1, |_| {});
+    assert!(film.noise().is_some() && film.bias().is_some());
+    assert_eq!((result.stats.noise, result.stats.bias), (film.noise(), film.bias()));
+    assert_eq!((result.metadata.noise, result.metadata.bias), (film.noise(), film.bias()));
+}
+
 #[test]
 fn a_time_limit_gives_the_mean_of_the_rounds_that_are_done() {
     for case in &*CASES {

@@ -129,6 +129,11 @@ fn photons_go_where_the_light_is() {
     // One map is divided with none.
     let (given, job) = by_default("cornell-diffuse", 8);
     assert_eq!((job.plan().global.map(|e| e.paths), job.plan().caustic), (Some(given.photons), None));
+    // Nor with one that is kept for comparison.
+    let kept = RenderSettings { keep_all: true, ..given.clone() };
+    let job = PreparedJob::prepare(&scene("cornell-diffuse.glb"), &kept).unwrap_or_else(|e| panic!("{e}"));
+    let paths = [job.plan().global, job.plan().caustic].map(|e| e.map(|e| e.paths));
+    assert_eq!(paths, [Some(given.photons), Some(given.caustic_photons)]);
 }
 
 /// Who reads the counts from an image and asks for them gets that image.

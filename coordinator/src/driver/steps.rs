@@ -126,7 +126,7 @@ impl Driver {
         let metadata = live.about.metadata(live.prepared().settings(), &job.stats);
         let (own, store, keep) = (self.own.clone(), self.store.clone(), self.config.keep);
         self.compute.spawn(
-            move || assemble::finish(parts, &metadata, keep, &store),
+            move || assemble::finish(parts, metadata, keep, &store),
             move |image| report(&own, Input::Assembled(id, flat(image))),
         );
         self.refresh(id);
