@@ -110,7 +110,8 @@ def peer(a, command, reference, work):
     command = [sys.executable] + command + ["--cpu", budgets, "--res", str(reference.shape[0]), "--threads", str(a.threads),
                                             "--out", out]
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600)
-    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    # A progress bar may stand before it.
+    lines = [json.loads(line[line.index("{"):]) for line in done.stdout.splitlines() if '{"peer"' in line]
     if done.returncode or not lines:
         said = (done.stderr or done.stdout).strip().splitlines()
         raise RuntimeError(said[-1] if said else "no output")
