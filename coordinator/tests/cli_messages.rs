@@ -75,7 +75,6 @@ fn each_nonsense_setting_names_its_option_and_what_is_valid() {
         ("--radius-alpha 1", ["--radius-alpha", "between 0 and 1"]),
         ("--rounds 100 --photons 10", ["--photons", "all rounds"]),
         ("--chains 0", ["--chains", "1 … 16777216"]),
-        ("--method mlt --width 4 --height 4 --chains 10k", ["--chains", "less than one each"]),
         ("--method bdpt --width 8192 --height 8192", ["--width", "at most 39000000"]),
         ("--large-step 0", ["--large-step", "above 0"]),
         ("--memory 64M --k 20", ["--k (photon)", "--memory (progressive)"]),

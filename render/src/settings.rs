@@ -2,6 +2,7 @@
 
 mod open_ended;
 mod options;
+mod splats;
 pub mod strategies;
 
 pub use open_ended::ENDLESS;
@@ -32,9 +33,6 @@ pub const MAX_MUTATIONS: u32 = 1 << 24;
 pub const MAX_BOOTSTRAP: u64 = 1 << 26;
 /// Largest number of final-gather rays per camera sample.
 pub const MAX_FINAL_GATHER: u32 = 65_536;
-/// Most pixels of a light image, of all its planes together: it travels whole, a pixel in up to some 27 bytes, and a result takes at most
-/// a gibibyte.
-pub const MAX_LIGHT_PIXELS: u64 = 39_000_000;
 /// Fewest samples per pixel that adaptive sampling has anything to decide about.
 pub const MIN_ADAPTIVE_SAMPLES: u32 = 16;
 /// Side of a square tile in pixels; edge tiles are cropped.
@@ -431,26 +429,7 @@ impl RenderSettings {
         if !(self.large_step > 0.0 && self.large_step <= 1.0) {
             return bad("large-step", format!("{} is not above 0 and at most 1", self.large_step));
         }
-        let mutations = u64::from(self.mutations) * u64::from(self.width) * u64::from(self.height);
-        if self.method == Method::Mlt && u64::from(self.chains) > mutations {
-            let text = format!("{} chains would share {mutations} mutations, less than one each", self.chains);
-            return bad("chains", text);
-        }
         Ok(())
-    }
-
-    /// Checks that what is splatted can travel.
-    fn validate_light_image(&self) -> Result<(), SettingsError> {
-        let (planes, pixels) = (self.light_planes(), u64::from(self.width) * u64::from(self.height));
-        if u64::from(planes) * pixels <= MAX_LIGHT_PIXELS {
-            return Ok(());
-        }
-        let of_planes = if planes > 1 { format!(" in each of {planes} planes") } else { String::new() };
-        let message = format!(
-            "{} × {} pixels{of_planes} are too many for what this job splats, which travels whole: at most {MAX_LIGHT_PIXELS} together",
-            self.width, self.height
-        );
-        Err(SettingsError { setting: "width", message })
     }
 
     /// Whether whole rounds are computed apart and only their images meet.

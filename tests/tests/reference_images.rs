@@ -121,22 +121,3 @@ fn error_falls_with_photons() {
         assert!(many < few, "{name}: relMSE {few} with few photons, {many} with four times as many");
     }
 }
-
-/// Light that the floor and the ring throw back and forth leaves one photon in a thousand. A radius that holds a number of those alone
-/// spread them over the whole scene, and showed seven times the light in the shadow at the ring's foot.
-#[test]
-fn a_sparse_map_is_not_spread_over_the_scene() {
-    let truth = reference("caustic-ring");
-    let settings =
-        RenderSettings { width: SIDE, height: SIDE, rounds: 24, ..RenderSettings::for_method(Method::Progressive) };
-    let [photons, caustic_photons] = settings.default_photons();
-    let settings = RenderSettings { photons, caustic_photons, divide_photons: true, ..settings };
-    let own = render("caustic-ring", &settings);
-    let mean = |image: &[Rgb]| {
-        let pixels = (190..205).flat_map(|y| (100..150).map(move |x| (y * SIDE + x) as usize));
-        pixels.map(|i| f64::from(image[i].luminance())).sum::<f64>() / (15.0 * 50.0)
-    };
-    let (own, truth) = (mean(&own), mean(&truth));
-    println!("in the shadow at the ring's foot {own:.2e} instead of {truth:.2e}");
-    assert!((0.3..3.0).contains(&(own / truth)), "{own} instead of {truth}");
-}

@@ -337,8 +337,7 @@ impl Round {
 /// Rounds before whose closing no image is said to be good enough: the noise is known by their differences.
 const LEAST_ROUNDS: u32 = 4;
 
-/// Whether the error of the image is told when so many rounds are closed, if nothing hangs on it: of all the first, then of fewer, since
-/// it takes a pass over the image.
+/// Whether the error is told after so many rounds, if nothing hangs on it: it takes a pass over the image.
 fn is_told(rounds: u32) -> bool {
     rounds.is_multiple_of((rounds / 16).max(1).next_power_of_two())
 }

@@ -97,10 +97,7 @@ impl Policy {
             Phase::Emission { .. } => (self.probe_paths, self.min_paths, self.max_paths),
             Phase::Bootstrap { .. } | Phase::SampleMap { .. } => (self.probe_paths, self.min_paths, self.max_paths),
             // A tile or a unit of a splat phase runs on one thread: fewer than threads leave some idle.
-            Phase::Gather { .. } | Phase::Splat { .. } => {
-                let threads = u64::from(s.threads).max(1);
-                (threads, threads.min((s.remaining as f64 * s.share) as u64).max(1), self.max_tiles)
-            }
+            Phase::Gather { .. } | Phase::Splat { .. } => (u64::from(s.threads), 1, self.max_tiles),
         };
         let wanted = s.rate.map_or(probe, |r| (r * self.target_lease.as_secs_f64()) as u64);
         // 1 for a worker alone, 2 from two equal ones on.
@@ -164,7 +161,6 @@ mod tests {
         let with = |remaining| p.lease_units(GATHER, Situation { rate: Some(100.0), remaining, ..situation() });
         assert_eq!(with(400), 100);
         assert_eq!(with(100), 25);
-        assert_eq!(with(10), 4);
         assert_eq!(with(2), 1);
         assert_eq!(with(1), 1);
         let paths = p.lease_units(EMISSION, Situation { remaining: p.min_paths + 5, ..situation() });
@@ -172,14 +168,14 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_alone_gets_a_phase_whole_and_each_thread_a_tile() {
+    fn a_worker_alone_gets_a_phase_whole() {
         let p = Policy::default();
         let s = Situation { rate: Some(1e6), remaining: 64, ..situation() };
         assert_eq!(p.lease_units(GATHER, Situation { share: 1.0, ..s }), 64);
         assert_eq!(p.lease_units(EMISSION, Situation { share: 1.0, remaining: 24_576, ..s }), 24_576);
         // Of many workers, none takes what would keep the others busy.
-        assert_eq!(p.lease_units(GATHER, Situation { remaining: 8, share: 0.5, ..s }), 4);
-        assert_eq!(p.lease_units(GATHER, Situation { remaining: 8, share: 0.1, ..s }), 1);
+        assert_eq!(p.lease_units(GATHER, Situation { share: 0.5, ..s }), 16);
+        assert_eq!(p.lease_units(GATHER, Situation { share: 0.75, ..s }), 32);
     }
 
     #[test]

@@ -57,7 +57,9 @@ mod tests {
     #[test]
     fn it_is_valid_and_each_part_stays_as_it_is() {
         for method in Method::ALL {
-            for size in [1, 256, 16_384] {
+            // A light image that large cannot travel.
+            let largest = if method.splats() || method == Method::Mlt { 6_144 } else { 16_384 };
+            for size in [1, 256, largest] {
                 let sized = RenderSettings { width: size, height: size, ..RenderSettings::for_method(method) };
                 let [photons, caustic_photons] = sized.default_photons();
                 let usual = RenderSettings { photons, caustic_photons, ..sized };

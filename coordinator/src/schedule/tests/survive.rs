@@ -88,9 +88,10 @@ fn one_of_two_twins_may_fail_or_die() {
 
 #[test]
 fn a_worker_that_would_not_be_done_sooner_repeats_nothing() {
-    let mut b = Bench::with_job(twins(), 0, 2);
+    let mut b = Bench::new(twins());
     b.join(A);
     b.join(B);
+    b.event(submitted(JOB, vec![Phase::Gather { round: 0, tiles: 2 }]));
     // B takes 10 s a tile.
     let (busy, digest) = (seconds(10), Digest([9; 32]));
     b.event(Event::Completed { worker: B, lease: LeaseId(2), attempt: 1, range: range(1, 2), busy, stored: 0, digest });
@@ -123,12 +124,11 @@ fn a_job_goes_on_where_an_earlier_coordinator_stopped() {
     let given = b.join(A);
     assert_eq!(given[1], Command::Assign { worker: A, lease: lease(1, 1, range(0, 1), task.clone()) });
     let said = b.complete(A, 1);
-    assert_eq!(said[1], Command::Assign { worker: A, lease: lease(2, 1, range(2, 3), task) });
-    b.complete(A, 2);
-    let said = b.complete(A, 3);
+    assert_eq!(said[1], Command::Assign { worker: A, lease: lease(2, 1, range(2, 4), task) });
+    let said = b.complete(A, 2);
     assert_eq!(said[1], Command::Build { job: JOB, phase: Phase::Gather { round: 1, tiles: 4 } });
     let rest = Task::Emission { round: 2, map: MapKind::Global };
-    assert_eq!(said[2], Command::Assign { worker: A, lease: lease(4, 1, range(10, 20), rest) });
+    assert_eq!(said[2], Command::Assign { worker: A, lease: lease(3, 1, range(10, 20), rest) });
     b.event(Event::Closed { job: JOB, round: 1, is_good_enough: false });
     assert_eq!(b.scheduler.job(JOB).unwrap().closed_totals()[&Kind::Gather].units, 8);
 }
@@ -171,7 +171,7 @@ fn the_job_of_higher_priority_comes_first() {
     let mut b = Bench::with_job(policy(), 0, 4);
     let urgent = JobId(8);
     let terms = Box::new(Terms { priority: 1, ..Terms::default() });
-    b.event(Event::Submitted { job: urgent, phases: vec![Phase::Gather { round: 0, tiles: 2 }], terms });
+    b.event(Event::Submitted { job: urgent, phases: vec![Phase::Gather { round: 0, tiles: 3 }], terms });
     let given: Vec<JobId> = [A, B, C].iter().flat_map(|&w| b.join(w)).filter_map(assigned).collect();
     assert_eq!(given, [urgent, urgent, JOB]);
 }
