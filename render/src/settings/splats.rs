@@ -5,7 +5,7 @@ use crate::error::SettingsError;
 
 /// Most pixels of a light image, of all its planes together: it travels whole, a pixel in up to some 27 bytes, and a result takes at most
 /// a gibibyte.
-pub const MAX_LIGHT_PIXELS: u64 = 39_000_000;
+const MAX_LIGHT_PIXELS: u64 = 39_000_000;
 
 impl RenderSettings {
     /// Checks that what is splatted can travel.
