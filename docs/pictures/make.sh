@@ -16,7 +16,7 @@ render() {
     local scene=$1 height=$2 name=$3
     shift 3
     local spent
-    spent=$({ time "$gatherlight" render "scenes/$scene.glb" --height "$height" --threads "$threads" "$@" --quiet -o "$out/$name.png" >/dev/null 2>"$out/.log"; } 2>&1) || {
+    spent=$({ time "$gatherlight" render "scenes/$scene.glb" --height "$height" --threads "$threads" "$@" --quiet --no-report -o "$out/$name.png" >/dev/null 2>"$out/.log"; } 2>&1) || {
         cat "$out/.log" >&2
         exit 1
     }
