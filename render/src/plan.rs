@@ -32,7 +32,7 @@ const LARGE_PILOT: u64 = 8;
 pub struct EmissionPlan {
     /// Emitted paths.
     pub paths: u64,
-    /// Of them, those of the pilot run.
+    /// Paths of the pilot run.
     pub pilot: u64,
     /// Which hits are stored.
     pub storage: Storage,
@@ -225,7 +225,8 @@ fn plan_global<'a>(scene: &'a Scene, settings: &'a RenderSettings) -> Result<Pil
     }
     let gathers = settings.method == Method::Photon && settings.final_gather > 0;
     let storage = if gathers || settings.direct_from_map { Storage::All } else { Storage::Indirect };
-    Ok(Pilot::trace(scene, settings, MapKind::Global, storage, paths, None))
+    let emission = Emission { scene, kind: MapKind::Global, storage, seed: settings.seed, round: 0, aim: None };
+    Ok(Pilot::trace(emission, settings, paths))
 }
 
 fn plan_caustic<'a>(
@@ -248,7 +249,9 @@ fn plan_caustic<'a>(
     if aim.is_none() && !settings.keep_all {
         return Err(out("no light reaches a specular or glossy surface"));
     }
-    Ok(Pilot::trace(scene, settings, MapKind::Caustic, Storage::Caustic, paths, aim))
+    let (kind, storage) = (MapKind::Caustic, Storage::Caustic);
+    let emission = Emission { scene, kind, storage, seed: settings.seed, round: 0, aim };
+    Ok(Pilot::trace(emission, settings, paths))
 }
 
 /// Whether `method` gathers from photon maps.
@@ -289,67 +292,55 @@ fn common_reason(scene: &Scene, settings: &RenderSettings) -> Result<(), String>
     Ok(())
 }
 
-/// A map that is wanted, and what a few of its paths leave.
+/// A map that is wanted, and what the first paths of its emission leave: as many whatever the number of its paths, so that it does not
+/// matter whether that was given or divided.
 struct Pilot<'a> {
-    scene: &'a Scene,
     settings: &'a RenderSettings,
-    aim: Option<&'a AimedEmission>,
-    kind: MapKind,
-    storage: Storage,
+    emission: Emission<'a>,
     /// Paths that the map is to have.
     paths: u64,
     photons: PhotonBatch,
 }
 
 impl<'a> Pilot<'a> {
-    fn trace(
-        scene: &'a Scene,
-        settings: &'a RenderSettings,
-        kind: MapKind,
-        storage: Storage,
-        paths: u64,
-        aim: Option<&'a AimedEmission>,
-    ) -> Self {
-        let photons = PhotonBatch::new(EmissionRange { first: 0, end: 0 }, false);
-        let pilot = Pilot { scene, settings, aim, kind, storage, paths, photons };
-        let photons = pilot.emit(storage, PILOT_PATHS);
-        let is_enough = photons.len() >= PILOT_PHOTONS || !pilot.finds_radius();
-        Pilot { photons: if is_enough { photons } else { pilot.emit(storage, LARGE_PILOT * PILOT_PATHS) }, ..pilot }
-    }
-    /// Whether the first round's radius follows from it.
-    fn finds_radius(&self) -> bool {
-        self.settings.method == Method::Progressive && self.settings.max_radius.is_none()
-    }
-    /// What the first `paths` paths leave.
-    fn emit(&self, storage: Storage, paths: u64) -> PhotonBatch {
-        let Pilot { scene, kind, aim, .. } = *self;
-        let emission = Emission { scene, kind, storage, seed: self.settings.seed, round: 0, aim };
-        emission.trace(EmissionRange { first: 0, end: paths.min(self.paths) })
+    fn trace(emission: Emission<'a>, settings: &'a RenderSettings, paths: u64) -> Self {
+        let first = |paths| emission.trace(EmissionRange { first: 0, end: paths });
+        let mut photons = first(PILOT_PATHS);
+        if finds_radius(settings) && photons.len() < PILOT_PHOTONS {
+            photons = first(LARGE_PILOT * PILOT_PATHS);
+        }
+        Pilot { settings, emission, paths, photons }
     }
     /// Power that falls on its surfaces, weighted as it is seen.
     fn light(&self) -> f64 {
         let power = |&code| f64::from(decode_rgbe(code).luminance());
-        self.photons.powers.iter().map(power).sum::<f64>() / self.photons.range.len().max(1) as f64
+        self.photons.powers.iter().map(power).sum::<f64>() / self.photons.range.len() as f64
     }
     /// The map as it will be made, for `pixel`s of that width on the surfaces that are seen.
     fn plan(self, pixel: f32) -> EmissionPlan {
-        let (settings, kind, paths, storage) = (self.settings, self.kind, self.paths, self.storage);
-        let (pilot, stored) = (self.photons.range.len(), self.photons.len() as u64);
-        let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(pilot.max(1))) as u64;
-        let first_radius = match self.finds_radius() {
-            true => {
-                let round = FirstRound { paths: settings.share_of_round(paths, 0), pixel, kernel: settings.kernel };
-                let all = (kind == MapKind::Global).then(|| PhotonMap::build(kind, self.emit(Storage::All, pilot)));
-                let map = PhotonMap::build(kind, self.photons);
-                match all {
-                    Some(all) => first_global_radius(&map, &all, round),
-                    None => first_caustic_radius(&map, round),
+        let Pilot { settings, emission, paths, photons } = self;
+        let (range, stored) = (photons.range, photons.len() as u64);
+        let expected_stored = (u128::from(stored) * u128::from(paths) / u128::from(range.len())) as u64;
+        let first_radius = if finds_radius(settings) {
+            let round = FirstRound { paths: settings.share_of_round(paths, 0), pixel, kernel: settings.kernel };
+            let map = PhotonMap::build(emission.kind, photons);
+            match emission.kind {
+                MapKind::Caustic => first_caustic_radius(&map, round),
+                MapKind::Global => {
+                    let all = Emission { storage: Storage::All, ..emission }.trace(range);
+                    first_global_radius(&map, &PhotonMap::build(MapKind::Global, all), round)
                 }
             }
-            false => settings.max_radius.map_or(0.0, |r| self.scene.space.length(f64::from(r))),
+        } else {
+            settings.max_radius.map_or(0.0, |r| emission.scene.space.length(f64::from(r)))
         };
-        EmissionPlan { paths, pilot, storage, expected_stored, first_radius }
+        EmissionPlan { paths, pilot: range.len(), storage: emission.storage, expected_stored, first_radius }
     }
+}
+
+/// Whether the first round's radius follows from a pilot.
+fn finds_radius(settings: &RenderSettings) -> bool {
+    settings.method == Method::Progressive && settings.max_radius.is_none()
 }
 
 /// Least share of the paths that a map gets, of two.
@@ -372,7 +363,8 @@ fn divided<'a>(
             let share = (a / (a + b)).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
             // Of a round, so that all rounds are alike.
             let of_round = settings.share_of_round(global.paths, 0) + settings.share_of_round(caustic.paths, 0);
-            let part = (of_round as f64 * share) as u64;
+            // Each has one at least: without photons its light would be missing.
+            let part = ((of_round as f64 * share) as u64).clamp(1, of_round - 1);
             let [first, second] = [part, of_round - part].map(|paths| paths * u64::from(settings.rounds));
             [Ok(Pilot { paths: first, ..global }), Ok(Pilot { paths: second, ..caustic })]
         }

@@ -98,7 +98,7 @@ impl SettingsArgs {
             }
         };
         // A side that follows from the camera may be anything yet.
-        self.sized(method, self.width.unwrap_or(DEFAULT_HEIGHT), self.height.unwrap_or(DEFAULT_HEIGHT)).map(drop)
+        self.sized(method, self.width.unwrap_or(1), self.height.unwrap_or(1)).map(drop)
     }
 
     /// Whether a method is named.

@@ -85,7 +85,9 @@ impl Driver {
         });
         match result {
             Ok((round, is_good_enough, error, kept)) => {
-                error.into_iter().for_each(|error| job.state_error(error));
+                if let Some(error) = error {
+                    job.state_error(error);
+                }
                 self.event(Event::Closed { job: id, round, is_good_enough });
                 if let Some(film) = kept {
                     self.note_rounds(id, film);

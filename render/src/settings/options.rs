@@ -129,7 +129,7 @@ impl Setting {
 }
 
 /// Photon paths of a round of `progressive` for each pixel: global, caustic; see [`RenderSettings::divide_photons`]. Emission then takes
-/// about as long as the gather pass, which is the best division of time where both add as much to the error. The optimum is flat.
+/// some half of the gather pass's time; the optimum is flat.
 const PROGRESSIVE_PATHS_PER_PIXEL: [f64; 2] = [0.5, 0.5];
 /// Fewest and most of them in a round: small images need a map too, and a round of a large one is to fit into memory.
 const PROGRESSIVE_PATHS_PER_ROUND: [u64; 2] = [4_096, 1 << 20];
