@@ -23,6 +23,7 @@ use crate::plan::{self, EmissionPlan, Plan};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
 use crate::settings::{Layer, Method, RenderSettings};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::Arc;
 
 pub use crate::photon::map::{PhotonMap, PhotonMaps};
@@ -251,29 +252,29 @@ impl PreparedJob {
     pub fn accumulator(&self) -> Accumulator {
         let weight = |round| self.settings.parts_of_round(round).len() as u32;
         let weights: Vec<u32> = (0..self.rounds()).map(weight).collect();
-        let film = if self.settings.merges_rounds() {
-            let blocks = self.settings.blocks().map(|b| b.len).collect();
-            Accumulator::in_blocks(self.grid(), self.channels(), weights, blocks)
-        } else {
-            Accumulator::new(self.grid(), self.channels(), weights)
-        };
+        let blocks = self.settings.blocks(&weights).map(|b| b.len() as u32).collect();
+        let widths = self.blur_of_rounds(&weights);
+        let film = Accumulator::in_blocks(self.grid(), self.channels(), weights, blocks);
         let film = if self.settings.layers.contains(&Layer::StandardError) { film.with_standard_error() } else { film };
         let film = match self.settings.pilot_rounds() {
             Some(rounds) => film.with_pilot(rounds),
             None => film,
         };
-        match self.blur_of_rounds() {
+        match widths {
             Some(widths) if widths.len() > 1 => film.with_blur(widths),
             _ => film,
         }
     }
     /// How blurred each block of rounds is, of methods that read maps within a radius that falls.
-    fn blur_of_rounds(&self) -> Option<Vec<f64>> {
+    fn blur_of_rounds(&self, weights: &[u32]) -> Option<Vec<f64>> {
         let reads_maps = self.plan.global.is_some() || self.plan.caustic.is_some();
         (self.settings.method.has_rounds() && reads_maps).then(|| {
             let mut all = blur_of_rounds(self.settings.radius_alpha);
-            let blocks = self.settings.blocks();
-            blocks.map(|b| all.by_ref().take(b.len as usize).sum::<f64>() / f64::from(b.len)).collect()
+            let widths = |b: Range<usize>| {
+                let parts = weights[b].iter().sum::<u32>();
+                all.by_ref().take(parts as usize).sum::<f64>() / f64::from(parts)
+            };
+            self.settings.blocks(weights).map(widths).collect()
         })
     }
     fn paths_of_round(&self, total: u64, round: u32) -> u64 {

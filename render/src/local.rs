@@ -33,7 +33,9 @@ pub fn run(job: &PreparedJob, mut goes_on: impl FnMut(&Accumulator) -> bool) -> 
             }
             Phase::Bootstrap { paths } => {
                 let weights = job.bootstrap(EmissionRange { first: 0, end: paths });
-                inputs.bootstrap = Some(Arc::new(Bootstrap::new(weights)));
+                let bootstrap = Bootstrap::new(weights);
+                run.non_finite += bootstrap.non_finite();
+                inputs.bootstrap = Some(Arc::new(bootstrap));
                 continue;
             }
             Phase::SampleMap { .. } => {

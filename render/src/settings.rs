@@ -1,10 +1,12 @@
 //! What determines an image: everything here, together with the scene's digest, and nothing else.
 
+mod blocks;
 mod open_ended;
 mod options;
 mod splats;
 pub mod strategies;
 
+pub use blocks::Pass;
 pub use open_ended::ENDLESS;
 pub use options::Setting;
 pub(crate) use options::enumerate;
@@ -300,17 +302,6 @@ impl Default for RenderSettings {
     }
 }
 
-/// Consecutive camera samples, chains or rounds: the noise of the image is known by what its blocks differ. They are stretches of
-/// the same low-discrepancy sequences, well stratified in themselves; that all of them together are better stratified still is
-/// not seen, so where that helps the noise is overstated, never understated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Block {
-    /// Its first part, from 0.
-    pub first: u32,
-    /// Number of its parts, ≥ 1.
-    pub len: u32,
-}
-
 impl RenderSettings {
     /// Checks every setting against its valid range.
     ///
@@ -439,55 +430,14 @@ impl RenderSettings {
 
     /// Rounds that the image is the mean of, ≥ 1. Methods without rounds of their own take what they have many of (camera samples,
     /// chains, whole rounds computed by one worker) in several of them, so that their noise is known while they run and they
-    /// can end early: one for each [`Block`].
+    /// can end early: one for each [`Pass`].
     pub fn image_rounds(&self) -> u32 {
-        if self.merges_rounds() { self.rounds } else { self.blocks().count().max(1) as u32 }
+        if self.merges_rounds() { self.rounds } else { self.passes().count().max(1) as u32 }
     }
     /// Whether the rounds of the image are those of the method, each with maps of its own.
     pub fn merges_rounds(&self) -> bool {
         self.method.has_rounds() && self.merge == Merge::Shared
     }
-    /// Number of camera samples, chains or rounds: what the blocks divide.
-    pub fn parts(&self) -> u32 {
-        match self.method {
-            Method::Mlt => self.chains,
-            m if m.has_rounds() => self.rounds,
-            _ => self.samples,
-        }
-    }
-    /// The blocks of a job, in order: 1, 1, 2, 4, … parts, up to an eighth of all, or of those before where a limit is to end the job.
-    pub fn blocks(&self) -> impl Iterator<Item = Block> + '_ {
-        let next = |first: u32| {
-            let len = first.clamp(1, self.largest_block(first)).min(self.parts().saturating_sub(first));
-            (len > 0).then_some(Block { first, len })
-        };
-        std::iter::successors(next(0), move |b| next(b.first + b.len))
-    }
-
-    /// Rounds whose samples decide where those of the others go, where that is wanted: a quarter of all samples, but not so
-    /// few that they say nothing, nor so many that it comes late.
-    pub fn pilot_rounds(&self) -> Option<u32> {
-        const SAMPLES: [u32; 2] = [8, 64];
-        let wanted = (self.samples / 4).clamp(SAMPLES[0], SAMPLES[1]);
-        let before = self.blocks().take_while(|b| b.first < wanted).count() as u32;
-        self.adaptive.then_some(before)
-    }
-
-    /// Numbers of the camera samples of each pixel, chains or independent rounds that `round` of the image takes: of adaptive
-    /// sampling, those of an even distribution.
-    pub fn parts_of_round(&self, round: u32) -> std::ops::Range<u32> {
-        if self.merges_rounds() {
-            return round..round + 1;
-        }
-        let parts = self.parts();
-        self.blocks().nth(round as usize).map_or(parts..parts, |b| b.first..b.first + b.len)
-    }
-
-    /// Numbers of the camera samples of each pixel that a gather of `round` takes; an independent round is one of the method's own.
-    pub fn samples_of_round(&self, round: u32) -> std::ops::Range<u32> {
-        if self.method.has_rounds() { round..round + 1 } else { self.parts_of_round(round) }
-    }
-
     /// Number of paths that round `round` emits of `total` over all rounds: as equal as integers allow.
     pub fn share_of_round(&self, total: u64, round: u32) -> u64 {
         self.paths_before_round(total, round + 1) - self.paths_before_round(total, round)

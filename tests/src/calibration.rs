@@ -1,7 +1,6 @@
 //! Whether the error that a render states is its real one: many seeds of one job, against the truth.
 
 use crate::single;
-use crate::welch::student_two_sided;
 use gatherlight_render::film::{Film, Noise};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::PreparedJob;
@@ -10,7 +9,7 @@ use gatherlight_render::settings::{Layer, RenderSettings};
 /// What many seeds showed.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibration {
-    /// Share of the pixels and channels whose 95 % interval (Student's, by the blocks there were) holds the mean of the other seeds.
+    /// Share of the pixels and channels whose 95 % interval, 1.96 standard errors to each side, holds the mean of the other seeds.
     pub coverage: f64,
     /// Root mean square over seeds of the stated relative standard error, over the real one, by the spread of the seeds.
     pub noise: f64,
@@ -30,7 +29,6 @@ struct Image {
     errors: Vec<f64>,
     noise: f64,
     bias: f64,
-    degrees: f64,
 }
 
 fn channels(film: &Film, first: usize) -> Vec<f64> {
@@ -43,20 +41,9 @@ fn render(bundle: &SceneBundle, settings: &RenderSettings) -> Image {
     let sums = single::accumulate(&job);
     let noise = sums.noise().map_or(f64::INFINITY, |n: Noise| n.relative);
     let bias = sums.bias().map_or(0.0, |b| b.relative);
-    let degrees = f64::from(sums.compared_blocks()) - 1.0;
     let film = sums.finish();
     let errors = film.channels.offset(Layer::StandardError).expect("asked for");
-    Image { values: channels(&film, 0), errors: channels(&film, errors), noise, bias, degrees }
-}
-
-/// The t with P(|T| < t) = 0.95.
-fn quantile(degrees: f64) -> f64 {
-    let (mut low, mut high) = (1.0, 100.0);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if student_two_sided(middle, degrees) > 0.05 { low = middle } else { high = middle }
-    }
-    low
+    Image { values: channels(&film, 0), errors: channels(&film, errors), noise, bias }
 }
 
 /// Root of the mean square of `a − b` relative to `b`, or to the mean of `b` where that is greater.
@@ -83,7 +70,7 @@ pub fn calibrate(
     let (n, count) = (seeds as f64, images[0].values.len());
     let sum: Vec<f64> = (0..count).map(|i| images.iter().map(|m| m.values[i]).sum()).collect();
     // The mean of the others has an error of its own.
-    let factor = quantile(images[0].degrees) * (1.0 + 1.0 / (n - 1.0)).sqrt();
+    let factor = 1.96 * (1.0 + 1.0 / (n - 1.0)).sqrt();
     let covered = |m: &Image| {
         let holds = |i: &usize| (m.values[*i] - (sum[*i] - m.values[*i]) / (n - 1.0)).abs() <= factor * m.errors[*i];
         (0..count).filter(holds).count()

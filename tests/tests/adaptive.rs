@@ -28,8 +28,8 @@ fn draw(x: u32, random: &mut Stream) -> f32 {
 fn draw_image(seed: u64) -> (Film, bool) {
     let settings = settings(Method::Path, 32);
     let grid = TileGrid { width: SIDE, height: SIDE };
-    let rounds = settings.blocks().count() as u32;
-    let weights = settings.blocks().map(|b| b.len).collect();
+    let rounds = settings.passes().count() as u32;
+    let weights = settings.passes().map(|b| b.len).collect();
     let mut film =
         Accumulator::new(grid, ChannelSet::new(&[]), weights).with_pilot(settings.pilot_rounds().expect("is adaptive"));
     for round in 0..rounds {

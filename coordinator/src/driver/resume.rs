@@ -137,9 +137,9 @@ impl Start {
         if let InputRef::Map(map) = input {
             let radius = self.live.about.gather_radii.entry(map.kind).or_insert(0.0);
             *radius = radius.max(gather_radius);
-            if phase.round() >= self.saved.rounds {
-                self.later.entry(phase.round()).or_default().add(&map_bytes(map));
-            }
+        }
+        if phase.round() >= self.saved.rounds {
+            self.later.entry(phase.round()).or_default().add(&made_stats(input, &made));
         }
         self.saved.inputs.insert(index, (input, stored));
         self.live.serve(phase.round(), Built { input, encoded: Some(encoded), made });
@@ -168,8 +168,14 @@ impl Start {
     }
 }
 
-/// A map that was built, as a part of a job's counts.
-pub(super) fn map_bytes(map: MapRef) -> JobStats {
-    let map = MapStats { kind: map.kind, emitted_count: 0, emitted_total: 0, stored_count: 0, bytes: map.bytes };
-    JobStats { maps: vec![map], ..JobStats::default() }
+/// What is counted of something that was made of a phase.
+pub(super) fn made_stats(input: InputRef, made: &Made) -> JobStats {
+    let mut stats = JobStats::default();
+    if let InputRef::Map(MapRef { kind, bytes, .. }) = input {
+        stats.maps.push(MapStats { kind, emitted_count: 0, emitted_total: 0, stored_count: 0, bytes });
+    }
+    if let Made::Bootstrap(bootstrap) = made {
+        stats.non_finite.samples = bootstrap.non_finite();
+    }
+    stats
 }

@@ -4,7 +4,7 @@
 use super::Driver;
 use super::handle::{Built, Handle, Image, Input, Made, Source};
 use super::live::{ClosedRound, StatedError};
-use super::resume::map_bytes;
+use super::resume::made_stats;
 use crate::compute::Panicked;
 use crate::schedule::Event;
 use crate::schedule::job::Done;
@@ -57,9 +57,7 @@ impl Driver {
         let payload = built.encoded.as_ref().map(|e| e.bytes().clone()).unwrap_or_default();
         self.note_input(id, phase, gather_radius, payload);
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        if let InputRef::Map(map) = input {
-            job.add_stats(round, &map_bytes(map));
-        }
+        job.add_stats(round, &made_stats(input, &built.made));
         let Some(live) = job.live.as_mut() else { return };
         if let InputRef::Map(map) = input {
             let radius = live.about.gather_radii.entry(map.kind).or_insert(0.0);

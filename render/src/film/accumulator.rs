@@ -5,6 +5,7 @@ mod restart;
 
 use super::light_image::Mutations;
 use super::sample_map::{Pilot, SampleMap};
+use super::standard_error;
 use super::{Bias, Blur, ChannelSet, Film, LightImage, MapError, Tile, TileError, TileGrid};
 use crate::settings::Layer;
 use pixels::{Counts, add_light, add_pixel, between, mean_pixel, median_around};
@@ -295,12 +296,13 @@ impl Accumulator {
     /// samples are as well stratified as may be.
     fn decide(&self) -> Option<SampleMap> {
         let (sums, n, closed) = (self.sums.as_ref()?, self.film.channels.len(), self.closed as usize);
-        let samples = self.samples() as f64;
+        let (samples, whole) = (self.samples() as f64, sums.last[1] as f64);
         let degrees = (f64::from(sums.compared) - 1.0).max(1.0);
         let pixel = |i: usize| {
             [0, 1, 2].map(|c| {
                 let sum = sums.values[i * n + c];
-                [sum / samples, between(sums.squares[i * 3 + c], sum, samples) / degrees]
+                let of_blocks = sum - sums.block[i * 3 + c];
+                [sum / samples, between(sums.squares[i * 3 + c], of_blocks, whole) / degrees]
             })
         };
         let pixels: Vec<_> = (0..sums.squares.len() / 3).into_par_iter().map(pixel).collect();
@@ -333,8 +335,9 @@ impl Accumulator {
         Counts(self.sample_map.as_ref())
     }
 
-    /// Variance of the mean of channel `c` of pixel `i`, but for the brightness's factor; infinite where nothing can be compared.
-    fn variance_of_mean(&self, sums: &Sums, [i, c]: [usize; 2]) -> f64 {
+    /// Variance of the mean of channel `c` of pixel `i`, by what its blocks differ, so without the brightness; infinite where nothing can be
+    /// compared.
+    fn variance_between(&self, sums: &Sums, [i, c]: [usize; 2]) -> f64 {
         let (n, counts) = (self.film.channels.len(), self.counts());
         let [before_last, whole, samples] = [sums.last[0], sums.last[1], self.samples()].map(|even| counts.at(i, even));
         // A small last block may have nothing of this pixel.
@@ -345,8 +348,7 @@ impl Accumulator {
         let value = sums.values[i * n + c];
         // The block in the making counts in the mean, but not in its error's estimate.
         let between = between(sums.squares[i * 3 + c], value - sums.block[i * 3 + c], whole);
-        let mean = value / samples;
-        between / (f64::from(compared) - 1.0) / samples + self.brightness.relative_variance * mean * mean
+        between / (f64::from(compared) - 1.0) / samples
     }
 
     /// Whether its rounds are blurred, so that there is a bias.
@@ -393,11 +395,12 @@ impl Accumulator {
         let row = |y: usize| {
             let mut total = [0.0; 2];
             for (x, c) in (0..size[0]).flat_map(|x| (0..3).map(move |c| (x, c))) {
-                let variance = self.variance_of_mean(sums, [y * size[0] + x, c]);
+                let own = value(y * size[0] + x, c);
+                let of_brightness = self.brightness.relative_variance * own * own;
+                let variance = self.variance_between(sums, [y * size[0] + x, c]) + of_brightness;
                 if variance > 0.0 {
                     // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own noise, and a
                     // pixel that has only one is worth what those around it are.
-                    let own = value(y * size[0] + x, c);
                     let own = own * own - variance;
                     let near = median_around(|i| value(i, c), size, [x, y]);
                     total = [total[0] + variance, total[1] + variance / own.max(near * near).max(mean * mean)];
@@ -451,14 +454,29 @@ impl Accumulator {
 
     /// The standard error of each pixel's channels.
     fn standard_errors(&self) -> Vec<[f32; 3]> {
-        let pixels = self.film.grid.width as usize * self.film.grid.height as usize;
-        let error = |i: usize, c: usize| match &self.sums {
-            Some(sums) if sums.compared > 1 => {
-                (self.brightness.factor * self.variance_of_mean(sums, [i, c]).sqrt()) as f32
-            }
-            _ => f32::INFINITY,
+        let width = self.film.grid.width as usize;
+        let Some(sums) = self.sums.as_ref().filter(|s| s.compared > 1) else {
+            return vec![[f32::INFINITY; 3]; width * self.film.grid.height as usize];
         };
-        (0..pixels).into_par_iter().map(|i| [0, 1, 2].map(|c| error(i, c))).collect()
+        let (n, counts, samples) = (self.film.channels.len(), self.counts(), self.samples());
+        let pixel = |i: usize| {
+            let samples = counts.at(i, samples);
+            standard_error::Pixel {
+                value: [0, 1, 2].map(|c| sums.values[i * n + c] / samples),
+                variance: [0, 1, 2].map(|c| self.variance_between(sums, [i, c])),
+                samples,
+            }
+        };
+        let pixels: Vec<_> = (0..sums.squares.len() / 3).into_par_iter().map(pixel).collect();
+        let Brightness { factor, relative_variance } = self.brightness;
+        let found = standard_error::variances(&pixels, width);
+        let error = |(pixel, variance): (&standard_error::Pixel, [f64; 3])| {
+            [0, 1, 2].map(|c| {
+                let of_brightness = relative_variance * pixel.value[c] * pixel.value[c];
+                (factor * (variance[c] + of_brightness).sqrt()) as f32
+            })
+        };
+        pixels.iter().zip(found).map(error).collect()
     }
 }
 

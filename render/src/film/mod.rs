@@ -8,6 +8,7 @@ pub mod image;
 pub mod light_image;
 pub mod map_error;
 pub mod sample_map;
+mod standard_error;
 pub mod tile;
 
 pub use accumulator::{Accumulator, Brightness, Noise};

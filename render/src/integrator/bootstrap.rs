@@ -9,12 +9,16 @@ pub struct Bootstrap {
     cumulative: Vec<f64>,
     /// Sum of the squares of the weights over their mean.
     relative_squares: f64,
+    /// Weights that were not finite.
+    non_finite: u64,
 }
 
 impl Bootstrap {
     /// From the luminances of all bootstrap paths in order; negative and not finite ones count as 0.
     pub fn new(mut weights: Vec<f32>) -> Self {
+        let mut non_finite = 0;
         for w in &mut weights {
+            non_finite += u64::from(!w.is_finite());
             *w = if w.is_finite() { w.max(0.0) } else { 0.0 };
         }
         let mut sum = 0.0;
@@ -28,11 +32,15 @@ impl Bootstrap {
         let mean = sum / weights.len().max(1) as f64;
         let square = |&w: &f32| f64::from(w) / mean * (f64::from(w) / mean);
         let relative_squares = if mean > 0.0 { weights.iter().map(square).sum() } else { 0.0 };
-        Bootstrap { weights, cumulative, relative_squares }
+        Bootstrap { weights, cumulative, relative_squares, non_finite }
     }
     /// The luminances.
     pub fn weights(&self) -> &[f32] {
         &self.weights
+    }
+    /// Paths whose luminance was not finite.
+    pub fn non_finite(&self) -> u64 {
+        self.non_finite
     }
     /// Sum of the luminances.
     pub fn sum(&self) -> f64 {
@@ -66,7 +74,7 @@ mod tests {
     #[test]
     fn paths_are_chosen_in_proportion() {
         let b = Bootstrap::new(vec![0.0, 1.0, 0.0, 3.0, f32::NAN, -2.0]);
-        assert_eq!(b.sum(), 4.0);
+        assert_eq!((b.sum(), b.non_finite()), (4.0, 1));
         let n = 4000;
         let third = (0..n).filter(|i| b.sample((f64::from(*i) + 0.5) / f64::from(n)) == Some(3)).count();
         assert_eq!(third, 3000);

@@ -31,16 +31,16 @@ impl RenderSettings {
         self.parts() >= ENDLESS
     }
 
-    /// The most parts of a block after `first` others. An eighth of all, so that there are enough to tell the noise by; where a limit
+    /// The most parts of a pass after `first` others. An eighth of all, so that there are enough to tell the noise by; where a limit
     /// is to end the job, an eighth of those before it, which is the most that it can be late by.
-    pub(super) fn largest_block(&self, first: u32) -> u32 {
+    pub(super) fn largest_pass(&self, first: u32) -> u32 {
         if !self.is_open_ended() {
             return self.parts().div_ceil(8);
         }
         // A single chain or independent round keeps a single worker busy, a sample of each pixel all of them.
         let by_units = self.method == Method::Mlt || self.has_independent_rounds();
         let least = if by_units { 8 } else { 1 };
-        // Alike over stretches, so that blocks can be compared.
+        // Alike over stretches, so that they can be compared.
         (first / 8).checked_ilog2().map_or(1, |log| 1 << log).max(least)
     }
 }
@@ -78,11 +78,11 @@ mod tests {
     }
 
     #[test]
-    fn a_block_is_at_most_an_eighth_of_what_is_done() {
+    fn a_pass_is_at_most_an_eighth_of_what_is_done() {
         let independent = RenderSettings { merge: Merge::Independent, ..endless(Method::Vcm) };
         for s in [endless(Method::Path), endless(Method::Mlt), independent] {
             let (mut next, mut count) = (0, 0);
-            for b in s.blocks() {
+            for b in s.passes() {
                 assert_eq!(b.first, next);
                 assert!(b.len <= (b.first / 8).max(8) && (s.method != Method::Path || b.len <= (b.first / 8).max(1)));
                 (next, count) = (next + b.len, count + 1);
@@ -93,9 +93,9 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_blocks_stay_as_they_are() {
+    fn the_usual_passes_stay_as_they_are() {
         let s = RenderSettings { samples: 64, ..RenderSettings::for_method(Method::Path) };
-        let lengths: Vec<u32> = s.blocks().map(|b| b.len).collect();
+        let lengths: Vec<u32> = s.passes().map(|b| b.len).collect();
         assert_eq!(lengths, [1, 1, 2, 4, 8, 8, 8, 8, 8, 8, 8]);
     }
 }
