@@ -15,8 +15,10 @@ pub struct Counters {
     pub connections: Counter,
     /// Results that counted.
     pub leases_done: Counter,
-    /// Leases handed out a second or later time.
+    /// Leases handed out again, after those who had them were lost or late, failed or gave them back.
     pub leases_retried: Counter,
+    /// Leases given to a second worker while the first one had them.
+    pub leases_repeated: Counter,
     /// Tasks that workers reported as failed, and results that were refused.
     pub leases_failed: Counter,
     refusals: Mutex<BTreeMap<&'static str, u64>>,

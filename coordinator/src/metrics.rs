@@ -47,7 +47,9 @@ async fn page(context: &Context) -> String {
     page.number(Gauge, "gatherlight_leases_open", "Leases that workers hold.", open.into());
     let mut count = |name: &str, help: &str, value: u64| page.number(Counter, name, help, value as f64);
     count("gatherlight_leases_done_total", "Results that counted.", counters.leases_done.get());
-    count("gatherlight_leases_retried_total", "Leases handed out again.", counters.leases_retried.get());
+    let (retried, repeated) = (counters.leases_retried.get(), counters.leases_repeated.get());
+    count("gatherlight_leases_retried_total", "Leases lost, failed or given back, and handed out again.", retried);
+    count("gatherlight_leases_repeated_total", "Leases of slow workers that another one did, too.", repeated);
     count("gatherlight_leases_failed_total", "Failed tasks and refused results.", counters.leases_failed.get());
     count("gatherlight_received_bytes_total", "Bytes read from connections.", counters.received_bytes.get());
     count("gatherlight_sent_bytes_total", "Bytes written to connections.", counters.sent_bytes.get());

@@ -8,7 +8,7 @@ pub use costs::Costs;
 use crate::random::Random;
 use checks::Counted;
 use gatherlight::schedule::job::Done;
-use gatherlight::schedule::{Command, Event, Policy, Scheduler, Terms};
+use gatherlight::schedule::{Command, Event, Policy, Reason, Scheduler, Terms};
 use gatherlight::types::{JobId, Limits};
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{Lease, Task, WorkerId};
@@ -443,9 +443,9 @@ impl World<'_> {
                 | Command::Forget { worker, .. } => {
                     let (worker, number, at) = (*worker, self.next_entry, self.now + self.delay());
                     if let Command::Assign { lease, .. } = &command {
-                        let repeated = self.scheduler.lease(lease.id).is_some_and(|l| l.twin.is_some());
-                        self.report.repeated += u64::from(repeated);
-                        self.report.retried += u64::from(lease.attempt > 1 && !repeated);
+                        let reason = self.scheduler.lease(lease.id).map(|l| l.reason);
+                        self.report.repeated += u64::from(reason == Some(Reason::Repeat));
+                        self.report.retried += u64::from(reason == Some(Reason::Retry));
                     }
                     self.to_worker.insert(number, command.clone());
                     self.plan(at, Due::Arrive(worker, number));

@@ -3,7 +3,7 @@
 use super::job::Job;
 use super::policy::Situation;
 use super::work::{History, Kind, Retry, Work};
-use super::{Command, OpenLease, Scheduler};
+use super::{Command, OpenLease, Reason, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
@@ -30,7 +30,7 @@ impl Scheduler {
             let ready = self.workers.iter().filter(|(_, w)| w.is_ready() && w.leases.len() == held);
             let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
             for worker in ready {
-                let assigned = has_work && self.assign(now, worker, out);
+                let assigned = has_work && self.assign(worker, out);
                 if !assigned && held == 0 {
                     let mut candidates = old.take().unwrap_or_else(|| self.twin_candidates(now));
                     self.assign_twin(now, worker, &mut candidates, out);
@@ -41,14 +41,15 @@ impl Scheduler {
     }
 
     /// Gives `worker` one lease, of the first job in turn that has one for it.
-    fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) -> bool {
+    fn assign(&mut self, worker: WorkerId, out: &mut Vec<Command>) -> bool {
         for place in 0..self.turn.len() {
             let Some(&job) = self.turn.get(place) else { return false };
             let Some((phase, Retry { range, history, .. })) = self.next_task(job, worker) else { continue };
             self.turn.remove(place);
             self.queue(job);
             self.prepare(worker, job, out);
-            self.open(now, worker, (job, phase), range, history, out);
+            let reason = if history.attempts == 0 { Reason::Fresh } else { Reason::Retry };
+            self.open(worker, (job, phase), range, (reason, history), out);
             return true;
         }
         false
@@ -126,13 +127,13 @@ impl Scheduler {
     /// Opens a lease of indices of a phase and sends it.
     pub(super) fn open(
         &mut self,
-        now: Duration,
         worker: WorkerId,
         (job, phase): (JobId, usize),
         range: EmissionRange,
-        mut history: History,
+        (reason, mut history): (Reason, History),
         out: &mut Vec<Command>,
     ) -> Option<LeaseId> {
+        let now = self.now;
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);
@@ -147,7 +148,8 @@ impl Scheduler {
             if rate.is_none() { self.policy.broadcast_time(lease.task.input_bytes()) } else { Duration::ZERO };
         let deadline = now + time * w.leases.len() as u32 + broadcast;
         out.push(Command::Assign { worker, lease: lease.clone() });
-        self.leases.insert(id, OpenLease { lease, phase, worker, opened: now, twin: None, deadline, history });
+        self.jobs.entry(job).and_modify(|j| j.handed_out(reason));
+        self.leases.insert(id, OpenLease { lease, reason, phase, worker, opened: now, twin: None, deadline, history });
         Some(id)
     }
 }

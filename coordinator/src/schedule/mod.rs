@@ -34,11 +34,24 @@ use twins::Settled;
 use work::{History, Kind, Retry};
 use workers::{Worker, Workers};
 
+/// Why a lease was handed out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// Its indices were never out before.
+    Fresh,
+    /// Whoever had them was lost or late, failed, or gave them back.
+    Retry,
+    /// Somebody has them, and takes long.
+    Repeat,
+}
+
 /// A lease that is out.
 #[derive(Clone, Debug)]
 pub struct OpenLease {
     /// As the worker got it.
     pub lease: Lease,
+    /// Why.
+    pub reason: Reason,
     /// Index of its phase within the job.
     pub phase: usize,
     /// Who has it.

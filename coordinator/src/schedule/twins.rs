@@ -2,7 +2,7 @@
 //! one that differs reveals a worker whose hardware cannot be trusted.
 
 use super::work::{History, Kind};
-use super::{Command, OpenLease, Scheduler};
+use super::{Command, OpenLease, Reason, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{LeaseId, WorkerId};
@@ -46,7 +46,7 @@ impl Scheduler {
         let (job, phase, range, attempts) = (open.lease.job, open.phase, open.lease.range, open.history.attempts);
         self.prepare(worker, job, out);
         let history = History { attempts, ..History::default() };
-        let Some(second) = self.open(now, worker, (job, phase), range, history, out) else { return };
+        let Some(second) = self.open(worker, (job, phase), range, (Reason::Repeat, history), out) else { return };
         for (one, other) in [(first, second), (second, first)] {
             self.leases.entry(one).and_modify(|l| l.twin = Some(other));
         }
