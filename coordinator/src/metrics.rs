@@ -54,8 +54,7 @@ async fn page(context: &Context) -> String {
     count("gatherlight_received_bytes_total", "Bytes read from connections.", counters.received_bytes.get());
     count("gatherlight_sent_bytes_total", "Bytes written to connections.", counters.sent_bytes.get());
     count("gatherlight_connections_total", "Connections taken.", counters.connections.get());
-    let refusals = counters.refusals().into_iter().map(|(reason, n)| (reason, n as f64));
-    page.labelled(Counter, "gatherlight_refusals_total", "What peers were refused.", "reason", refusals);
+    page.labelled(Counter, "gatherlight_refusals_total", "What peers were refused.", "reason", counters.refusals.get());
     let mut gauge = |name: &str, help: &str, value: u64| page.number(Gauge, name, help, value as f64);
     gauge("gatherlight_driver_queue", "Inputs that wait for the driver.", driver.queued() as u64);
     gauge("gatherlight_compute_queue", "Merges, decodings and encodings that wait or run.", compute.open() as u64);
