@@ -16,7 +16,7 @@ use gatherlight_render::job::Phase;
 use gatherlight_render::photon::MapKind;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Virtual time after which a job that has not ended never will.
 const FOREVER: u64 = 200_000_000_000;
@@ -126,6 +126,10 @@ pub struct Report {
     pub result_bytes: u64,
     /// Bytes of maps, counted once each.
     pub broadcast_bytes: u64,
+    /// Events that the scheduler took in.
+    pub events: u64,
+    /// Real time that it took for them.
+    pub scheduler_time: Duration,
 }
 
 /// Something that will happen.
@@ -421,7 +425,10 @@ impl World<'_> {
             }
             _ => false,
         };
+        let begin = Instant::now();
         let commands = self.scheduler.handle(Duration::from_micros(self.now), event);
+        self.report.scheduler_time += begin.elapsed();
+        self.report.events += 1;
         for command in commands {
             match &command {
                 Command::Accept { lease, .. } => self.accept(*lease, completed.as_ref()),
