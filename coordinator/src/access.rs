@@ -9,10 +9,10 @@ pub use tokens::{Role, Tokens};
 
 pub(crate) use tokens::check_name as check_token_name;
 
-use crate::service::Peer;
 use gatherlight_proto::Digest;
 use gatherlight_proto::credentials::{identity, read};
 use gatherlight_proto::limits::AUTHORIZATION_KEY;
+use gatherlight_proto::serve::Peer;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;

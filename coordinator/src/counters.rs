@@ -1,8 +1,7 @@
 //! What a coordinator counts of itself, for its metrics.
 
-use gatherlight_telemetry::Counter;
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use gatherlight_proto::serve::Tally;
+use gatherlight_telemetry::{Counter, Labelled};
 
 /// Counts since the coordinator started.
 #[derive(Debug, Default)]
@@ -15,22 +14,38 @@ pub struct Counters {
     pub connections: Counter,
     /// Results that counted.
     pub leases_done: Counter,
-    /// Leases handed out a second or later time.
+    /// Leases handed out again, after those who had them were lost or late, failed or gave them back.
     pub leases_retried: Counter,
+    /// Leases given to a second worker while the first one had them.
+    pub leases_repeated: Counter,
     /// Tasks that workers reported as failed, and results that were refused.
     pub leases_failed: Counter,
-    refusals: Mutex<BTreeMap<&'static str, u64>>,
+    /// What peers were refused, by reason.
+    pub refusals: Labelled,
 }
 
 impl Counters {
     /// A peer was refused something.
     pub fn refused(&self, reason: &'static str) {
-        let mut refusals = self.refusals.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = refusals.entry(reason).or_default();
-        *count = count.saturating_add(1);
+        self.refusals.add(reason, 1);
     }
-    /// How often, by reason.
-    pub fn refusals(&self) -> BTreeMap<&'static str, u64> {
-        self.refusals.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+impl Tally for Counters {
+    fn connected(&self) {
+        self.connections.add(1);
+    }
+    fn received(&self, bytes: u64) {
+        self.received_bytes.add(bytes);
+    }
+    fn sent(&self, bytes: u64) {
+        self.sent_bytes.add(bytes);
+    }
+    fn refused(&self, reason: &'static str) {
+        self.refusals.add(reason, 1);
+    }
+    fn not_taken(&self, error: &std::io::Error) {
+        tracing::warn!(%error, "a connection could not be taken");
+        self.refusals.add("accept_failed", 1);
     }
 }

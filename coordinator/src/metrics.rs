@@ -47,13 +47,14 @@ async fn page(context: &Context) -> String {
     page.number(Gauge, "gatherlight_leases_open", "Leases that workers hold.", open.into());
     let mut count = |name: &str, help: &str, value: u64| page.number(Counter, name, help, value as f64);
     count("gatherlight_leases_done_total", "Results that counted.", counters.leases_done.get());
-    count("gatherlight_leases_retried_total", "Leases handed out again.", counters.leases_retried.get());
+    let (retried, repeated) = (counters.leases_retried.get(), counters.leases_repeated.get());
+    count("gatherlight_leases_retried_total", "Leases lost, failed or given back, and handed out again.", retried);
+    count("gatherlight_leases_repeated_total", "Leases of slow workers that another one did, too.", repeated);
     count("gatherlight_leases_failed_total", "Failed tasks and refused results.", counters.leases_failed.get());
     count("gatherlight_received_bytes_total", "Bytes read from connections.", counters.received_bytes.get());
     count("gatherlight_sent_bytes_total", "Bytes written to connections.", counters.sent_bytes.get());
     count("gatherlight_connections_total", "Connections taken.", counters.connections.get());
-    let refusals = counters.refusals().into_iter().map(|(reason, n)| (reason, n as f64));
-    page.labelled(Counter, "gatherlight_refusals_total", "What peers were refused.", "reason", refusals);
+    page.labelled(Counter, "gatherlight_refusals_total", "What peers were refused.", "reason", counters.refusals.get());
     let mut gauge = |name: &str, help: &str, value: u64| page.number(Gauge, name, help, value as f64);
     gauge("gatherlight_driver_queue", "Inputs that wait for the driver.", driver.queued() as u64);
     gauge("gatherlight_compute_queue", "Merges, decodings and encodings that wait or run.", compute.open() as u64);

@@ -294,6 +294,7 @@ pub fn stats_json(t: &JobStats) -> Value {
         "workers": t.workers,
         "workers_lost": t.workers_lost,
         "retried_leases": t.retried_leases,
+        "repeated_leases": t.repeated_leases,
         "disputes": t.disputes,
         "restarts": t.restarts,
         "result_bytes": t.result_bytes,

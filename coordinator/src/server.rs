@@ -7,10 +7,11 @@ use crate::driver::{Driver, DriverConfig, KeepImage};
 use crate::metrics;
 use crate::room::Rooms;
 use crate::schedule::Policy;
-use crate::service::{self, ConnectionLimits, Context, Incoming};
+use crate::service::{self, CONNECTIONS, Context};
 use crate::store::Store;
 use gatherlight_proto::connect::reason;
 use gatherlight_proto::limits::HEARTBEAT;
+use gatherlight_proto::serve::Incoming;
 use std::future::Future;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -172,7 +173,7 @@ impl Server {
             None => service::server(),
         };
         let _metrics = self.metrics.map(|listener| metrics::serve(listener, self.context.clone()));
-        let incoming = Incoming::new(self.listener, ConnectionLimits::default(), self.context.counters.clone());
+        let incoming = Incoming::new(self.listener, CONNECTIONS, self.context.counters.clone());
         let serving = service::router(server, self.context).await.serve_with_incoming_shutdown(incoming, shutdown);
         let grace = async {
             drop::<Result<(), _>>(begins.await);

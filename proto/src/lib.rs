@@ -5,6 +5,7 @@
 //! - [`payload`]: photon batches, maps and tiles as bytes;
 //! - [`chunk`]: bytes as a stream of bounded chunks, checked on arrival;
 //! - [`pieces`]: payloads in pieces that are checked one by one, for the broadcast;
+//! - [`serve`]: what servers of ours let their peers cost;
 //! - [`stored`]: what the coordinator keeps of jobs in its store;
 //! - [`connect`], [`credentials`]: how workers and clients reach a coordinator and prove who they are;
 //! - [`limits`]: what a peer may send at most.
@@ -20,6 +21,7 @@ pub mod limits;
 pub mod message;
 pub mod payload;
 pub mod pieces;
+pub mod serve;
 pub mod stored;
 pub mod types;
 pub mod version;

@@ -172,8 +172,10 @@ pub struct JobStats {
     pub k: u32,
     /// Compute time of all workers, summed over their threads' pools (wall time of tasks).
     pub busy: Duration,
-    /// Leases handed out again because a worker was lost, late or failed.
+    /// Leases handed out again because a worker was lost or late, failed or gave them back.
     pub retried_leases: u64,
+    /// Leases given to a second worker because the first one took long.
+    pub repeated_leases: u64,
     /// Workers that were given work.
     pub workers: u32,
     /// Of them, those that were lost.

@@ -7,5 +7,5 @@ pub mod metrics;
 pub mod serve;
 
 pub use log::LogOptions;
-pub use metrics::{Counter, Kind, Page};
+pub use metrics::{Counter, Kind, Labelled, Page};
 pub use serve::{MakePage, serve};

@@ -1,7 +1,9 @@
 //! Counters, and the text that Prometheus reads (exposition format 0.0.4).
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// A number that only grows, until its process ends.
 #[derive(Debug, Default)]
@@ -15,6 +17,24 @@ impl Counter {
     /// The count.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Numbers that only grow, one for each value of a label.
+#[derive(Debug, Default)]
+pub struct Labelled(Mutex<BTreeMap<&'static str, u64>>);
+
+impl Labelled {
+    /// Counts `n` more for `label`.
+    pub fn add(&self, label: &'static str, n: u64) {
+        let mut counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.entry(label).or_default();
+        *count = count.saturating_add(n);
+    }
+    /// The counts, for [`Page::labelled`].
+    pub fn get(&self) -> Vec<(&'static str, f64)> {
+        let counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.iter().map(|(&label, &n)| (label, n as f64)).collect()
     }
 }
 

@@ -46,6 +46,8 @@ pub fn small_settings() -> RenderSettings {
 pub struct Coordinator {
     /// Where it listens.
     pub address: SocketAddr,
+    /// Where it serves metrics, if it does.
+    pub metrics: Option<SocketAddr>,
     stop: Option<oneshot::Sender<()>>,
     task: JoinHandle<()>,
 }
@@ -71,13 +73,13 @@ impl Coordinator {
     /// When it cannot be started.
     pub async fn start_with(config: ServeConfig) -> Self {
         let server = Server::bind(config).await.unwrap_or_else(|e| panic!("{e}"));
-        let address = server.local_addr();
+        let (address, metrics) = (server.local_addr(), server.metrics_addr());
         let (stop, stopped) = oneshot::channel::<()>();
         let task = tokio::spawn(async move {
             let shutdown = async { drop(stopped.await) };
             server.run(shutdown).await.unwrap_or_else(|e| panic!("{e}"));
         });
-        Coordinator { address, stop: Some(stop), task }
+        Coordinator { address, metrics, stop: Some(stop), task }
     }
     /// Its URL.
     pub fn url(&self) -> String {

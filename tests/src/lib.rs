@@ -6,6 +6,7 @@ pub mod chi_square;
 pub mod cluster;
 pub mod fixtures;
 pub mod fuzz;
+pub mod hostile;
 pub mod pipeline;
 pub mod processes;
 pub mod proxy;

@@ -8,7 +8,7 @@ pub use costs::Costs;
 use crate::random::Random;
 use checks::Counted;
 use gatherlight::schedule::job::Done;
-use gatherlight::schedule::{Command, Event, Policy, Scheduler, Terms};
+use gatherlight::schedule::{Command, Event, Policy, Reason, Scheduler, Terms};
 use gatherlight::types::{JobId, Limits};
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{Lease, Task, WorkerId};
@@ -16,7 +16,7 @@ use gatherlight_render::job::Phase;
 use gatherlight_render::photon::MapKind;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Virtual time after which a job that has not ended never will.
 const FOREVER: u64 = 200_000_000_000;
@@ -126,6 +126,10 @@ pub struct Report {
     pub result_bytes: u64,
     /// Bytes of maps, counted once each.
     pub broadcast_bytes: u64,
+    /// Events that the scheduler took in.
+    pub events: u64,
+    /// Real time that it took for them.
+    pub scheduler_time: Duration,
 }
 
 /// Something that will happen.
@@ -421,7 +425,10 @@ impl World<'_> {
             }
             _ => false,
         };
+        let begin = Instant::now();
         let commands = self.scheduler.handle(Duration::from_micros(self.now), event);
+        self.report.scheduler_time += begin.elapsed();
+        self.report.events += 1;
         for command in commands {
             match &command {
                 Command::Accept { lease, .. } => self.accept(*lease, completed.as_ref()),
@@ -443,9 +450,9 @@ impl World<'_> {
                 | Command::Forget { worker, .. } => {
                     let (worker, number, at) = (*worker, self.next_entry, self.now + self.delay());
                     if let Command::Assign { lease, .. } = &command {
-                        let repeated = self.scheduler.lease(lease.id).is_some_and(|l| l.twin.is_some());
-                        self.report.repeated += u64::from(repeated);
-                        self.report.retried += u64::from(lease.attempt > 1 && !repeated);
+                        let reason = self.scheduler.lease(lease.id).map(|l| l.reason);
+                        self.report.repeated += u64::from(reason == Some(Reason::Repeat));
+                        self.report.retried += u64::from(reason == Some(Reason::Retry));
                     }
                     self.to_worker.insert(number, command.clone());
                     self.plan(at, Due::Arrive(worker, number));

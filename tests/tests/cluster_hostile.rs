@@ -12,6 +12,7 @@ use gatherlight_proto::wire::jobs_client::JobsClient;
 use gatherlight_proto::wire::relay_client::RelayClient;
 use gatherlight_proto::wire::{self, Chunk, DeliverRequest, WorkerMessage};
 use gatherlight_tests::cluster::{Coordinator, PATIENCE, small_leases};
+use gatherlight_tests::hostile::{HTTP2_HANDSHAKE, crowd, drip, still_open};
 use std::time::{Duration, Instant};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::service::interceptor::InterceptedService;
@@ -187,44 +188,15 @@ async fn the_standard_health_service_answers_without_versions() {
     }
 }
 
-/// A connection that sends `first` and then a byte now and then; the time until it was closed.
-async fn drip(address: std::net::SocketAddr, first: &[u8]) -> Duration {
-    use tokio::io::{AsyncReadExt, AsyncWriteExt};
-    let begin = Instant::now();
-    let stream = tokio::net::TcpStream::connect(address).await.expect("connects");
-    let (mut reading, mut writing) = stream.into_split();
-    writing.write_all(first).await.expect("is sent");
-    let dripping = async {
-        // Bytes of the HTTP/2 preface, slowly, and for ever.
-        for byte in b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".iter().cycle() {
-            tokio::time::sleep(Duration::from_secs(1)).await;
-            if writing.write_all(&[*byte]).await.is_err() {
-                return;
-            }
-        }
-    };
-    let closed = async {
-        let mut answer = Vec::new();
-        drop(reading.read_to_end(&mut answer).await);
-    };
-    let closing = async {
-        tokio::select! {
-            () = dripping => {}
-            () = closed => {}
-        }
-    };
-    tokio::time::timeout(PATIENCE, closing).await.expect("is closed in time");
-    begin.elapsed()
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_drips_bytes_or_stays_silent_is_closed_while_others_are_served() {
     let p = peer().await;
     // The whole preface and settings of HTTP/2, and then no call; the half of it; and nothing.
-    let settings = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
     let address = p.coordinator.address;
     let loris =
-        tokio::spawn(async move { tokio::join!(drip(address, settings), drip(address, b"P"), drip(address, b"")) });
+        tokio::spawn(
+            async move { tokio::join!(drip(address, HTTP2_HANDSHAKE), drip(address, b"P"), drip(address, b"")) },
+        );
     while !loris.is_finished() {
         assert!(p.jobs.clone().list(wire::ListRequest {}).await.is_ok());
         tokio::time::sleep(Duration::from_millis(100)).await;
@@ -240,19 +212,16 @@ async fn who_drips_bytes_or_stays_silent_is_closed_while_others_are_served() {
 #[tokio::test]
 async fn a_port_scanner_cannot_take_all_connections() {
     let p = peer().await;
-    let mut held = Vec::new();
-    for _ in 0..400 {
-        held.push(tokio::net::TcpStream::connect(p.coordinator.address).await.expect("connects"));
-    }
-    // Those who are known go on, and once the scanner's connections are over, new ones are taken.
+    let held = crowd(p.coordinator.address, 400).await;
+    // Those who are known go on, and newcomers crowd out the oldest of those who say nothing.
     assert!(p.jobs.clone().list(wire::ListRequest {}).await.is_ok());
-    drop(held);
-    let connecting = async {
-        while gatherlight::client::connect(&p.coordinator.url(), 1).await.is_err() {
+    assert!(gatherlight::client::connect(&p.coordinator.url(), 1).await.is_ok());
+    let closing = async {
+        while still_open(&held) > 256 {
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
-    tokio::time::timeout(PATIENCE, connecting).await.expect("is taken in time");
+    tokio::time::timeout(PATIENCE, closing).await.expect("are closed in time");
 }
 
 #[tokio::test]

@@ -3,6 +3,7 @@
 
 use gatherlight::embedded;
 use gatherlight::types::JobProgress;
+use gatherlight_proto::Digest;
 use gatherlight_proto::connect::Stamp;
 use gatherlight_proto::credentials::Credentials;
 use gatherlight_proto::message::{FromWorker, Hello, PassRequest, PassTicket, RelayAddress, Route, ToWorker};
@@ -16,6 +17,7 @@ use gatherlight_proto::wire::{self, Passed};
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::settings::RenderSettings;
 use gatherlight_tests::cluster::{Coordinator, Worker, finished_exr, request, small_leases, small_settings};
+use gatherlight_tests::hostile::{HTTP2_HANDSHAKE, crowd, drip, still_open};
 use gatherlight_tests::{film_pixels_sha256, pixel_sha256, scene};
 use gatherlight_worker::WorkerConfig;
 use gatherlight_worker::relay::Listen;
@@ -25,6 +27,8 @@ use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::timeout;
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::service::interceptor::InterceptedService;
@@ -236,4 +240,117 @@ async fn a_worker_gives_a_payload_to_whoever_has_its_ticket_and_to_nobody_else()
         asked += 1;
     }
     assert_eq!(asked, 2, "the scene and the map");
+}
+
+/// A job has run; where and with what each payload of it may be asked for.
+async fn tickets(coordinator: &Coordinator) -> Vec<(SocketAddr, PassRequest)> {
+    let (_asked, mut told) = liar(coordinator, Fate::Absent).await;
+    run(coordinator).await;
+    let mut passes = Vec::new();
+    while let Ok(Route { blob, ticket, sources }) = told.try_recv() {
+        let own = sources.iter().enumerate().filter_map(|(stripe, addresses)| Some((stripe, *addresses.first()?)));
+        passes.extend(own.map(|(stripe, address)| {
+            (address, PassRequest { digest: blob.digest, ticket, stripe, first: stripe as u64 })
+        }));
+    }
+    assert!(!passes.is_empty());
+    passes
+}
+
+async fn ask_all(passes: &[(SocketAddr, PassRequest)]) {
+    for &(address, request) in passes {
+        let passed = timeout(Duration::from_secs(5), ask(address, request)).await.expect("in time");
+        assert!(passed.expect("has the ticket").len() > 1);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_crowd_without_tickets_takes_little_of_a_worker_and_nothing_of_those_who_have_them() {
+    let (_store, coordinator) = start().await;
+    let _workers = workers(&coordinator, 2, Listen::Auto).await;
+    let passes = tickets(&coordinator).await;
+    let address = passes[0].0;
+    let dripping =
+        tokio::spawn(
+            async move { tokio::join!(drip(address, HTTP2_HANDSHAKE), drip(address, b"P"), drip(address, b"")) },
+        );
+    let held = crowd(address, 600).await;
+    ask_all(&passes).await;
+    // More calls for payloads that nobody knows than may wait, each on a connection of its own.
+    let unknown = PassRequest { digest: Digest([7; 32]), ..passes[0].1 };
+    let guesses: Vec<_> = (0..200).map(|_| tokio::spawn(ask(address, unknown))).collect();
+    ask_all(&passes).await;
+    run(&coordinator).await;
+    for guess in guesses {
+        assert!(guess.await.expect("did not panic").is_err());
+    }
+    assert!(still_open(&held) <= 256, "{} are open", still_open(&held));
+    while !dripping.is_finished() {
+        ask_all(&passes).await;
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+    let (whole, half, nothing) = dripping.await.expect("did not panic");
+    for time in [whole, half, nothing] {
+        assert!(time < Duration::from_secs(20), "{time:?}");
+    }
+    // Those that came last have had less of their time.
+    let closing = async {
+        while still_open(&held) > 0 {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    timeout(Duration::from_secs(20), closing).await.expect("are closed in time");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn requests_that_are_large_or_never_whole_are_refused() {
+    let (_store, coordinator) = start().await;
+    let _workers = workers(&coordinator, 2, Listen::Auto).await;
+    let passes = tickets(&coordinator).await;
+    let (address, request) = passes[0];
+    let channel = Endpoint::from_shared(format!("http://{address}")).expect("a URL").connect().await.expect("connects");
+    let stamp = Stamp::new(Versions::own(), &Credentials::default());
+    let mut client = RelayClient::with_interceptor(channel.clone(), stamp.clone());
+    let large = wire::PassRequest { digest: vec![7; 64 << 10].into(), ..request.into() };
+    assert_eq!(client.pass(large).await.expect_err("is refused").code(), Code::OutOfRange);
+    let mut padded = Request::new(wire::PassRequest::from(request));
+    padded.metadata_mut().insert("padding", "x".repeat(40_000).parse().expect("is a value"));
+    // What is no answer of the service shows where its stream is read.
+    let answer = async { client.pass(padded).await?.into_inner().message().await };
+    assert!(answer.await.is_err());
+    // The connection is good; its request has headers, and no body ever.
+    assert!(client.pass(wire::PassRequest::from(request)).await.is_ok());
+    let mut raw = tonic::client::Grpc::new(InterceptedService::new(channel, stamp));
+    let asking = async {
+        raw.ready().await.expect("is open");
+        let never = Request::new(tokio_stream::pending::<wire::PassRequest>());
+        let path = "/gatherlight.v1.Relay/Pass".parse().expect("is a path");
+        raw.client_streaming(never, path, tonic_prost::ProstCodec::<_, Passed>::default()).await.map(drop)
+    };
+    let answer = timeout(Duration::from_secs(20), asking).await.expect("in time");
+    assert!(answer.is_err(), "{answer:?}");
+    ask_all(&passes).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_has_a_ticket_has_no_more_streams_than_its_share() {
+    let (_store, coordinator) = start().await;
+    let _workers = workers(&coordinator, 2, Listen::Auto).await;
+    let passes = tickets(&coordinator).await;
+    // The map: more than a window, so that a stream nobody reads stays open.
+    let (address, request) = passes[passes.len() - 1];
+    let channel = Endpoint::from_shared(format!("http://{address}")).expect("a URL").connect().await.expect("connects");
+    let client = RelayClient::with_interceptor(channel, Stamp::new(Versions::own(), &Credentials::default()));
+    let mut open = JoinSet::new();
+    for _ in 0..300 {
+        let mut client = client.clone();
+        open.spawn(async move { client.pass(wire::PassRequest::from(request)).await });
+    }
+    let mut unread = Vec::new();
+    while let Ok(Some(answer)) = timeout(Duration::from_secs(1), open.join_next()).await {
+        unread.extend(answer.expect("did not panic"));
+    }
+    // 64 at once; one that ends makes place for another. Without the bound of a connection it would be 256.
+    assert!((1..100).contains(&unread.len()), "{} were answered", unread.len());
+    ask_all(&passes).await;
 }

@@ -1,10 +1,15 @@
 //! What the real programs tell of themselves: logs as JSON, metrics, and never a secret.
 
 use gatherlight::client::connect_with;
+use gatherlight::schedule::Policy;
+use gatherlight::server::ServeConfig;
 use gatherlight_proto::credentials::{Credentials, Token};
-use gatherlight_tests::cluster::{PATIENCE, finished_exr, request, small_settings};
+use gatherlight_tests::cluster::{
+    Coordinator, PATIENCE, finished_exr, request, small_leases, small_settings, watch_until,
+};
 use gatherlight_tests::processes::{logged, shown_arguments};
 use gatherlight_tests::scene;
+use gatherlight_worker::Faults;
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -42,6 +47,30 @@ fn metrics(address: &str) -> String {
     let (head, page) = answer.split_once("\r\n\r\n").expect("is an answer");
     assert!(head.starts_with("HTTP/1.1 200"), "{head}");
     page.to_owned()
+}
+
+/// One worker sleeps over its leases, another has nothing to do and repeats them: none of them was lost.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn leases_that_are_repeated_are_none_that_were_lost() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let policy = Policy { twin_after: Duration::from_millis(50), ..small_leases() };
+    let any = "127.0.0.1:0".parse().expect("an address");
+    let config =
+        ServeConfig { threads: 1, policy, metrics: Some(any), ..ServeConfig::new(any, directory.path().into()) };
+    let coordinator = Coordinator::start_with(config).await;
+    let client = coordinator.client().await;
+    let job = request(&scene("cornell-diffuse.glb"), &small_settings());
+    let id = client.submit(&job, |_, _| {}).await.unwrap_or_else(|e| panic!("{e}"));
+    let _slow = coordinator.worker("slow", Faults { delay: Duration::from_secs(1), ..Faults::default() });
+    watch_until(&client, id, |p| p.workers > 0).await;
+    let _quick = coordinator.worker("quick", Faults::default());
+    finished_exr(&client, id).await;
+    let stats = client.get(id).await.unwrap_or_else(|e| panic!("{e}")).stats;
+    assert!(stats.repeated_leases > 0);
+    assert_eq!(stats.retried_leases, 0);
+    let page = metrics(&coordinator.metrics.expect("serves them").to_string());
+    assert_eq!(value(&page, "gatherlight_leases_repeated_total"), stats.repeated_leases as f64);
+    assert_eq!(value(&page, "gatherlight_leases_retried_total"), 0.0);
 }
 
 fn value(page: &str, metric: &str) -> f64 {

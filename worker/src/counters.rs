@@ -1,6 +1,7 @@
 //! What a worker counts of itself, for its metrics.
 
-use gatherlight_telemetry::{Counter, Kind, Page};
+use gatherlight_proto::serve::Tally;
+use gatherlight_telemetry::{Counter, Kind, Labelled, Page};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -21,6 +22,12 @@ pub struct Counters {
     pub delivered_bytes: Counter,
     /// Times it joined a coordinator.
     pub sessions: Counter,
+    /// Connections taken of other workers.
+    pub connections: Counter,
+    /// Bytes passed on to other workers, with what the network adds.
+    pub passed_bytes: Counter,
+    /// What other workers, or whoever reached this one's port, were refused, by reason.
+    pub refusals: Labelled,
     busy_micros: Counter,
     is_joined: AtomicBool,
 }
@@ -52,7 +59,28 @@ impl Counters {
         count("gatherlight_worker_results_failed_total", "Results that could not be handed in.", failed);
         count("gatherlight_worker_fetched_bytes_total", "Scene files and maps fetched.", number(&self.fetched_bytes));
         count("gatherlight_worker_delivered_bytes_total", "Results handed in.", number(&self.delivered_bytes));
+        count("gatherlight_worker_connections_total", "Connections of other workers taken.", number(&self.connections));
+        count("gatherlight_worker_passed_bytes_total", "Scene files and maps passed on.", number(&self.passed_bytes));
+        let refusals = self.refusals.get();
+        page.labelled(Counter, "gatherlight_worker_refusals_total", "What others were refused.", "reason", refusals);
         page.process();
         page.into_text()
+    }
+}
+
+impl Tally for Counters {
+    fn connected(&self) {
+        self.connections.add(1);
+    }
+    fn received(&self, _bytes: u64) {}
+    fn sent(&self, bytes: u64) {
+        self.passed_bytes.add(bytes);
+    }
+    fn refused(&self, reason: &'static str) {
+        self.refusals.add(reason, 1);
+    }
+    fn not_taken(&self, error: &std::io::Error) {
+        tracing::warn!(%error, "a connection could not be taken");
+        self.refusals.add("accept_failed", 1);
     }
 }

@@ -188,7 +188,7 @@ impl JobRecord {
             (m.emitted_count, m.stored_count) = (total.units, total.stored);
         }
         let done = job.done();
-        self.stats.retried_leases = job.retried;
+        (self.stats.retried_leases, self.stats.repeated_leases) = (job.retried, job.repeated);
         self.stats.disputes = job.disputes;
         (self.stats.workers, self.stats.workers_lost) = (job.workers, job.workers_lost);
         self.stats.rounds_done = done.rounds;

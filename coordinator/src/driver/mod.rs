@@ -24,7 +24,7 @@ use crate::counters::Counters;
 use crate::random::random_u64;
 use crate::room::Room;
 use crate::schedule::job::closes_rounds;
-use crate::schedule::{Command, Event, Outcome, Policy, Scheduler, Terms};
+use crate::schedule::{Command, Event, Outcome, Policy, Reason, Scheduler, Terms};
 use crate::store::Store;
 use crate::store::journal::{Change, SavedResult};
 use crate::types::{JobId, JobStats};
@@ -421,7 +421,11 @@ impl Driver {
                     }
                 }
                 Command::Assign { worker, lease } => {
-                    self.config.counters.leases_retried.add(u64::from(lease.attempt > 1));
+                    match self.scheduler.lease(lease.id).map(|l| l.reason) {
+                        Some(Reason::Retry) => self.config.counters.leases_retried.add(1),
+                        Some(Reason::Repeat) => self.config.counters.leases_repeated.add(1),
+                        Some(Reason::Fresh) | None => {}
+                    }
                     self.send(worker, ToWorker::Lease(lease));
                 }
                 Command::Revoke { worker, lease } => self.send(worker, ToWorker::Revoke(lease)),

@@ -3,7 +3,7 @@
 use super::job::Job;
 use super::policy::Situation;
 use super::work::{History, Kind, Retry, Work};
-use super::{Command, OpenLease, Scheduler};
+use super::{Command, Event, OpenLease, Reason, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
 use gatherlight_proto::types::JobId;
@@ -17,38 +17,74 @@ fn mix(seed: u64, counter: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// Who is there for certain, at the time of an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// The event is of no worker.
+    Nobody,
+    /// This one said something.
+    One(WorkerId),
+    /// Time passed: everybody is looked at.
+    All,
+}
+
+impl Heard {
+    pub(super) fn at(event: &Event) -> Self {
+        match *event {
+            Event::Joined { worker, .. }
+            | Event::Heard { worker }
+            | Event::Completed { worker, .. }
+            | Event::Repeated { worker, .. }
+            | Event::TaskFailed { worker, .. }
+            | Event::Returned { worker, .. } => Heard::One(worker),
+            Event::Tick => Heard::All,
+            _ => Heard::Nobody,
+        }
+    }
+}
+
 impl Scheduler {
-    /// Gives every worker with room its next leases: first one each, then the second ones. Who would have none repeats old ones.
-    pub(super) fn assign_all(&mut self, now: Duration, out: &mut Vec<Command>) {
+    /// Gives every worker with room its next leases: first one each, then the second ones. Of those who would have none, the ones
+    /// that were `heard` repeat old ones.
+    pub(super) fn assign_all(&mut self, now: Duration, heard: Heard, out: &mut Vec<Command>) {
         let has_work = self.jobs.values().any(|j| j.open_phases().next().is_some());
         if !has_work && self.leases.is_empty() {
             return;
         }
-        // Looked for only where a worker is idle.
-        let mut old = None;
-        for held in 0..self.policy.leases_per_worker {
-            let ready = self.workers.iter().filter(|(_, w)| w.is_ready() && w.leases.len() == held);
-            let ready: Vec<WorkerId> = ready.map(|(&id, _)| id).collect();
-            for worker in ready {
-                let assigned = has_work && self.assign(now, worker, out);
-                if !assigned && held == 0 {
-                    let mut candidates = old.take().unwrap_or_else(|| self.twin_candidates(now));
-                    self.assign_twin(now, worker, &mut candidates, out);
-                    old = Some(candidates);
+        if has_work {
+            for held in 0..self.policy.leases_per_worker {
+                let ready: Vec<WorkerId> = self.workers.ready(held).collect();
+                for worker in ready {
+                    self.assign(worker, out);
                 }
             }
+        }
+        let idle: Vec<WorkerId> = match heard {
+            Heard::Nobody => return,
+            Heard::One(id) => {
+                self.workers.get(&id).filter(|w| w.is_ready() && w.leases.is_empty()).map(|_| id).into_iter().collect()
+            }
+            Heard::All => self.workers.ready(0).collect(),
+        };
+        if idle.is_empty() {
+            return;
+        }
+        let mut candidates = self.twin_candidates(now);
+        for worker in idle {
+            self.assign_twin(now, worker, &mut candidates, out);
         }
     }
 
     /// Gives `worker` one lease, of the first job in turn that has one for it.
-    fn assign(&mut self, now: Duration, worker: WorkerId, out: &mut Vec<Command>) -> bool {
+    fn assign(&mut self, worker: WorkerId, out: &mut Vec<Command>) -> bool {
         for place in 0..self.turn.len() {
             let Some(&job) = self.turn.get(place) else { return false };
             let Some((phase, Retry { range, history, .. })) = self.next_task(job, worker) else { continue };
             self.turn.remove(place);
             self.queue(job);
             self.prepare(worker, job, out);
-            self.open(now, worker, (job, phase), range, history, out);
+            let reason = if history.attempts == 0 { Reason::Fresh } else { Reason::Retry };
+            self.open(worker, (job, phase), range, (reason, history), out);
             return true;
         }
         false
@@ -63,7 +99,7 @@ impl Scheduler {
 
     /// Announces `job` to `worker`, if that is new to it.
     pub(super) fn prepare(&mut self, worker: WorkerId, job: JobId, out: &mut Vec<Command>) {
-        if self.workers.get_mut(&worker).is_some_and(|w| w.prepared.insert(job)) {
+        if self.workers.change(worker, |w| w.prepared.insert(job)) == Some(true) {
             self.jobs.entry(job).and_modify(|j| j.workers += 1);
             out.push(Command::Prepare { worker, job });
         }
@@ -111,12 +147,11 @@ impl Scheduler {
         let w = self.workers.get(&worker)?;
         let key = (job, Kind::of(work.phase));
         let rate = w.rate(key);
-        let active = || self.workers.values().filter(|w| !w.draining);
-        let measured = || active().filter_map(|w| w.rate(key));
-        let share = match rate {
+        let staying = self.workers.staying() as f64;
+        let share = match rate.zip(self.workers.mean_rate(key)) {
             // Workers not measured yet count as average ones.
-            Some(r) => r / (measured().sum::<f64>() / measured().count() as f64 * active().count() as f64),
-            None => 1.0 / active().count() as f64,
+            Some((own, mean)) => own / (mean * staying),
+            None => 1.0 / staying,
         };
         let remaining = work.fresh.units();
         let stored_per_unit = self.jobs.get(&job)?.stored_per_unit(key.1);
@@ -126,20 +161,20 @@ impl Scheduler {
     /// Opens a lease of indices of a phase and sends it.
     pub(super) fn open(
         &mut self,
-        now: Duration,
         worker: WorkerId,
         (job, phase): (JobId, usize),
         range: EmissionRange,
-        mut history: History,
+        (reason, mut history): (Reason, History),
         out: &mut Vec<Command>,
     ) -> Option<LeaseId> {
+        let now = self.now;
         history.attempts += 1;
         self.last_lease += 1;
         let id = LeaseId(self.last_lease);
         let (task, phase_of) = self.jobs.get(&job).and_then(|j| Some((j.task(phase)?, j.work(phase)?.phase)))?;
         let lease = Lease { id, attempt: history.attempts, job, range, task };
-        let w = self.workers.get_mut(&worker)?;
-        w.leases.insert(id);
+        self.workers.change(worker, |w| w.leases.insert(id))?;
+        let w = self.workers.get(&worker)?;
         // The lease may wait behind the others the worker holds.
         let rate = w.rate((job, Kind::of(phase_of)));
         let time = self.policy.lease_time(phase_of, range.len(), rate, history.attempts);
@@ -147,7 +182,8 @@ impl Scheduler {
             if rate.is_none() { self.policy.broadcast_time(lease.task.input_bytes()) } else { Duration::ZERO };
         let deadline = now + time * w.leases.len() as u32 + broadcast;
         out.push(Command::Assign { worker, lease: lease.clone() });
-        self.leases.insert(id, OpenLease { lease, phase, worker, opened: now, twin: None, deadline, history });
+        self.jobs.entry(job).and_modify(|j| j.handed_out(reason));
+        self.leases.insert(id, OpenLease { lease, reason, phase, worker, opened: now, twin: None, deadline, history });
         Some(id)
     }
 }

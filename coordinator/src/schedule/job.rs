@@ -27,6 +27,7 @@
 //!   many rounds there are.
 //! - A limit ends the job between two rounds.
 
+use super::Reason;
 use super::saved::Saved;
 use super::work::{Kind, Retry, Total, Work};
 use core::time::Duration;
@@ -102,8 +103,10 @@ pub struct Job {
     pub worker_bytes: u64,
     /// Results that two workers gave and that differ.
     pub disputes: u64,
-    /// Leases handed out again so far.
+    /// Leases handed out again so far, after those who had them were lost or late, failed or gave them back.
     pub retried: u64,
+    /// Leases given to a second worker so far while the first one had them.
+    pub repeated: u64,
     /// Workers that were given work so far.
     pub workers: u32,
     /// Of them, those that were lost before the job ended.
@@ -204,6 +207,7 @@ impl Job {
             worker_bytes,
             disputes: 0,
             retried: 0,
+            repeated: 0,
             workers: 0,
             workers_lost: 0,
             stuck_since: None,
@@ -314,9 +318,16 @@ impl Job {
         total.units += range.len();
         total.stored += stored;
     }
+    /// Counts a lease that is handed out.
+    pub fn handed_out(&mut self, reason: Reason) {
+        match reason {
+            Reason::Fresh => {}
+            Reason::Retry => self.retried += 1,
+            Reason::Repeat => self.repeated += 1,
+        }
+    }
     /// Puts indices of phase `index` up to be leased again.
     pub fn take_back(&mut self, index: usize, retry: Retry) {
-        self.retried += 1;
         if let Some(work) = self.work_mut(index) {
             work.retries.push(retry);
         }

@@ -22,6 +22,7 @@ pub use job::Terms;
 pub use policy::Policy;
 pub use saved::Saved;
 
+use assign::Heard;
 use core::time::Duration;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{Lease, LeaseId, WorkerId};
@@ -34,11 +35,24 @@ use twins::Settled;
 use work::{History, Kind, Retry};
 use workers::{Worker, Workers};
 
+/// Why a lease was handed out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// Its indices were never out before.
+    Fresh,
+    /// Whoever had them was lost or late, failed, or gave them back.
+    Retry,
+    /// Somebody has them, and takes long.
+    Repeat,
+}
+
 /// A lease that is out.
 #[derive(Clone, Debug)]
 pub struct OpenLease {
     /// As the worker got it.
     pub lease: Lease,
+    /// Why.
+    pub reason: Reason,
     /// Index of its phase within the job.
     pub phase: usize,
     /// Who has it.
@@ -84,7 +98,7 @@ impl Scheduler {
     /// Takes in what happened at time `now` (from any origin, never going back); returns what to do about it.
     pub fn handle(&mut self, now: Duration, event: Event) -> Vec<Command> {
         self.now = now;
-        let mut out = Vec::new();
+        let (heard, mut out) = (Heard::at(&event), Vec::new());
         match event {
             Event::Submitted { job, phases, terms } => self.submitted(job, phases, *terms, &mut out),
             Event::Cancelled { job } => self.end(job, Outcome::Cancelled, &mut out),
@@ -130,7 +144,7 @@ impl Scheduler {
             Event::StepFailed { job, error } => self.end(job, Outcome::Failed(error), &mut out),
             Event::Tick => self.tick(now, &mut out),
         }
-        self.assign_all(now, &mut out);
+        self.assign_all(now, heard, &mut out);
         out
     }
     /// A job that has not ended.
@@ -187,16 +201,12 @@ impl Scheduler {
     }
 
     fn heard(&mut self, now: Duration, worker: WorkerId) {
-        if let Some(w) = self.workers.get_mut(&worker) {
-            w.last_heard = now;
-        }
+        self.workers.heard(worker, now);
     }
 
     fn draining(&mut self, now: Duration, worker: WorkerId) {
         self.heard(now, worker);
-        if let Some(w) = self.workers.get_mut(&worker) {
-            w.draining = true;
-        }
+        self.workers.change(worker, |w| w.draining = true);
     }
 
     fn completed(
@@ -215,15 +225,15 @@ impl Scheduler {
             return self.failed((worker, lease, attempt), error, out);
         }
         let Some(open) = self.leases.remove(&lease) else { return };
-        if let Some(w) = self.workers.get_mut(&worker) {
+        self.workers.change(worker, |w| {
             w.leases.remove(&lease);
             w.completed += 1;
-        }
+        });
         self.settle(&open, digest, out);
         let Some(job) = self.jobs.get_mut(&open.lease.job) else { return };
         let kind = job.work(open.phase).map(|w| Kind::of(w.phase));
-        if let (Some(w), Some(kind)) = (self.workers.get_mut(&worker), kind) {
-            w.measured((open.lease.job, kind), range.len(), busy);
+        if let Some(kind) = kind {
+            self.workers.change(worker, |w| w.measured((open.lease.job, kind), range.len(), busy));
         }
         job.completed(open.phase, range, stored);
         out.push(Command::Accept { job: open.lease.job, lease });
@@ -254,9 +264,7 @@ impl Scheduler {
         }
         let Some(open) = self.leases.get(&lease) else { return };
         let (job, phase, first) = (open.lease.job, open.phase, open.lease.range.first);
-        if let Some(w) = self.workers.get_mut(&worker) {
-            w.failed(job, phase, first);
-        }
+        self.workers.change(worker, |w| w.failed(job, phase, first));
         self.take_back(lease, |history| history.failures.push((worker, error)), out);
     }
 
@@ -284,7 +292,7 @@ impl Scheduler {
 
     /// A worker is gone: its leases are done by others.
     fn lost(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
-        let Some(gone) = self.workers.remove(&worker) else { return };
+        let Some(gone) = self.workers.remove(worker) else { return };
         self.settled.retain(|_, s| s.open.worker != worker);
         for job in &gone.prepared {
             self.jobs.entry(*job).and_modify(|j| j.workers_lost += 1);
@@ -297,9 +305,7 @@ impl Scheduler {
     /// Puts an open lease's indices up for a retry, or fails their job when that is hopeless.
     fn take_back(&mut self, lease: LeaseId, note: impl FnOnce(&mut History), out: &mut Vec<Command>) {
         let Some(mut open) = self.leases.remove(&lease) else { return };
-        if let Some(w) = self.workers.get_mut(&open.worker) {
-            w.leases.remove(&lease);
-        }
+        self.workers.change(open.worker, |w| w.leases.remove(&lease));
         note(&mut open.history);
         if let Some(twin) = open.twin.and_then(|twin| self.leases.get_mut(&twin)) {
             // The other one is still out; what is known against these indices goes with it.
@@ -336,15 +342,9 @@ impl Scheduler {
         self.revoke(job, out);
         // Workers drop what waits there of a job that has ended, and say nothing.
         for (lease, s) in self.settled.iter().filter(|(_, s)| s.open.lease.job == job) {
-            if let Some(w) = self.workers.get_mut(&s.open.worker) {
-                w.behind.remove(lease);
-            }
+            self.workers.change(s.open.worker, |w| w.behind.remove(lease));
         }
-        for (&worker, w) in &mut self.workers {
-            if w.forget(job) {
-                out.push(Command::Forget { worker, job });
-            }
-        }
+        out.extend(self.workers.forget(job).into_iter().map(|worker| Command::Forget { worker, job }));
         out.push(Command::Finish { job, outcome });
     }
 
@@ -353,9 +353,7 @@ impl Scheduler {
         let open: Vec<LeaseId> = self.leases.values().filter(|l| l.lease.job == job).map(|l| l.lease.id).collect();
         for lease in open {
             let Some(gone) = self.leases.remove(&lease) else { continue };
-            if let Some(w) = self.workers.get_mut(&gone.worker) {
-                w.leases.remove(&lease);
-            }
+            self.workers.change(gone.worker, |w| w.leases.remove(&lease));
             out.push(Command::Revoke { worker: gone.worker, lease });
         }
     }

@@ -2,10 +2,13 @@
 //! one that differs reveals a worker whose hardware cannot be trusted.
 
 use super::work::{History, Kind};
-use super::{Command, OpenLease, Scheduler};
+use super::{Command, OpenLease, Reason, Scheduler};
 use core::time::Duration;
 use gatherlight_proto::Digest;
 use gatherlight_proto::message::{LeaseId, WorkerId};
+
+/// Leases that one worker is considered for at a time: with as many idle workers as slow ones, all pairs would be too many.
+const MAX_TRIED: usize = 16;
 
 /// A lease whose twin was faster; its result may still come, until its deadline.
 #[derive(Clone, Debug)]
@@ -26,13 +29,15 @@ impl Scheduler {
 
     /// The leases that are worth repeating, the oldest last.
     pub(super) fn twin_candidates(&self, now: Duration) -> Vec<LeaseId> {
-        let is_old = |l: &&OpenLease| l.twin.is_none() && now.saturating_sub(l.opened) >= self.policy.twin_after;
-        let mut old: Vec<&OpenLease> = self.leases.values().filter(is_old).collect();
-        old.sort_unstable_by_key(|l| core::cmp::Reverse((l.opened, l.lease.id)));
-        old.iter().map(|l| l.lease.id).collect()
+        // Leases are numbered as they are opened.
+        let is_old = |l: &&OpenLease| now.saturating_sub(l.opened) >= self.policy.twin_after;
+        let old = self.leases.values().take_while(is_old).filter(|l| l.twin.is_none()).map(|l| l.lease.id);
+        let mut old: Vec<LeaseId> = old.collect();
+        old.reverse();
+        old
     }
 
-    /// Gives `worker`, which has nothing to do, the oldest of the `candidates` that it would have done by now.
+    /// Gives `worker`, which has nothing to do, the oldest of the last [`MAX_TRIED`] `candidates` that it would have done by now.
     pub(super) fn assign_twin(
         &mut self,
         now: Duration,
@@ -40,13 +45,15 @@ impl Scheduler {
         candidates: &mut Vec<LeaseId>,
         out: &mut Vec<Command>,
     ) {
-        let Some(place) = candidates.iter().rposition(|&id| self.may_repeat(now, worker, id)) else { return };
-        let first = candidates.remove(place);
+        let from = candidates.len().saturating_sub(MAX_TRIED);
+        let oldest = candidates.get(from..).unwrap_or_default();
+        let Some(place) = oldest.iter().rposition(|&id| self.may_repeat(now, worker, id)) else { return };
+        let first = candidates.remove(from + place);
         let Some(open) = self.leases.get(&first) else { return };
         let (job, phase, range, attempts) = (open.lease.job, open.phase, open.lease.range, open.history.attempts);
         self.prepare(worker, job, out);
         let history = History { attempts, ..History::default() };
-        let Some(second) = self.open(now, worker, (job, phase), range, history, out) else { return };
+        let Some(second) = self.open(worker, (job, phase), range, (Reason::Repeat, history), out) else { return };
         for (one, other) in [(first, second), (second, first)] {
             self.leases.entry(one).and_modify(|l| l.twin = Some(other));
         }
@@ -68,9 +75,7 @@ impl Scheduler {
     /// Whoever has not answered by the deadline never will.
     pub(super) fn forget_settled(&mut self, now: Duration) {
         for (lease, s) in self.settled.extract_if(.., |_, s| now > s.open.deadline) {
-            if let Some(w) = self.workers.get_mut(&s.open.worker) {
-                w.behind.remove(&lease);
-            }
+            self.workers.change(s.open.worker, |w| w.behind.remove(&lease));
         }
     }
 
@@ -78,10 +83,10 @@ impl Scheduler {
     pub(super) fn settle(&mut self, won: &OpenLease, digest: Digest, out: &mut Vec<Command>) {
         let Some(open) = won.twin.and_then(|twin| self.leases.remove(&twin)) else { return };
         let (worker, lease) = (open.worker, open.lease.id);
-        if let Some(w) = self.workers.get_mut(&worker) {
+        self.workers.change(worker, |w| {
             w.leases.remove(&lease);
             w.behind.insert(lease);
-        }
+        });
         out.push(Command::Revoke { worker, lease });
         self.settled.insert(lease, Settled { open, winner: won.worker, digest });
     }
@@ -89,9 +94,7 @@ impl Scheduler {
     /// The slower worker has said what became of its lease; what was known of it.
     pub(super) fn answered(&mut self, worker: WorkerId, lease: LeaseId, attempt: u32) -> Option<Settled> {
         self.settled(worker, lease, attempt)?;
-        if let Some(w) = self.workers.get_mut(&worker) {
-            w.behind.remove(&lease);
-        }
+        self.workers.change(worker, |w| w.behind.remove(&lease));
         self.settled.remove(&lease)
     }
 

@@ -1,8 +1,6 @@
 //! What workers call.
 
-use super::connection::Peer;
 use super::quota::{Quota, Slot};
-use super::rate::Rate;
 use super::{Context, ReplyStream};
 use crate::counters::Counters;
 use crate::driver::{Delivery, Handle, Offered, Ticket};
@@ -11,6 +9,7 @@ use crate::room::{self, Room};
 use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, SessionKey, WorkerId};
+use gatherlight_proto::serve::{Peer, Rate};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{

@@ -1,14 +1,10 @@
 //! The gRPC edge: decode, ask the driver, reply. No decisions here.
 
 mod cluster;
-mod connection;
 mod gate;
 mod jobs;
 mod quota;
-mod rate;
 mod relay;
-
-pub(crate) use connection::{ConnectionLimits, Incoming, Peer};
 
 use crate::access::{Access, Role};
 use crate::compute::Compute;
@@ -17,10 +13,11 @@ use crate::driver::Handle;
 use crate::room::Rooms;
 use crate::store::Store;
 use bytes::Bytes;
-use gate::{CountRefusals, Gate};
+use gate::Gate;
 use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::chunk;
 use gatherlight_proto::limits::{CONNECTION_WINDOW_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES};
+use gatherlight_proto::serve::{self, ConnectionLimits, CountRefusals};
 use gatherlight_proto::wire::Chunk;
 use gatherlight_proto::wire::cluster_server::ClusterServer;
 use gatherlight_proto::wire::jobs_server::JobsServer;
@@ -37,14 +34,12 @@ use tonic::transport::server::Router;
 use tower::Layer;
 use tower::layer::layer_fn;
 
-/// Silence on a connection after which it is probed, and after which an unanswered probe ends it.
-const KEEPALIVE: Duration = Duration::from_secs(10);
+/// Time a connection has to prove who it is, at most 256 at once that have not, and 8,192 in all. Sessions and watches are silent for
+/// hours, so nobody is closed for that. The system's limit of open files has to be above both.
+pub(crate) const CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { introduction: Duration::from_secs(10), unknown: 256, all: 8_192, idle: None };
 /// Streams one connection may have open: sessions, fetches and deliveries of one peer.
 const MAX_STREAMS: u32 = 256;
-/// Longest headers of a call, together.
-const MAX_HEADER_BYTES: u32 = 16 << 10;
-/// Streams a peer may open and reset before they are looked at.
-const MAX_RESETS: usize = 20;
 /// Longest question to the health service, which anyone may ask.
 const MAX_HEALTH_BYTES: usize = 1 << 10;
 
@@ -67,15 +62,7 @@ type Counting = CountRefusals<Routes>;
 
 /// A server with this project's windows and limits.
 pub(crate) fn server() -> Server {
-    Server::builder()
-        .initial_stream_window_size(STREAM_WINDOW_BYTES)
-        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-        .max_concurrent_streams(MAX_STREAMS)
-        .http2_max_header_list_size(MAX_HEADER_BYTES)
-        .http2_max_pending_accept_reset_streams(Some(MAX_RESETS))
-        .http2_keepalive_interval(Some(KEEPALIVE))
-        .http2_keepalive_timeout(Some(KEEPALIVE))
-        .tcp_nodelay(true)
+    serve::server(MAX_STREAMS, STREAM_WINDOW_BYTES, CONNECTION_WINDOW_BYTES)
 }
 
 /// Both services and the standard health service, ready to be served.
@@ -90,7 +77,7 @@ pub(crate) async fn router(server: Server, context: Context) -> Router<impl Laye
     reporter.set_serving::<JobsServer<jobs::JobsService>>().await;
     let gate = |role| Gate { access: access.clone(), role };
     server
-        .layer(layer_fn(move |inner| CountRefusals { inner, counters: counters.clone() }))
+        .layer(layer_fn(move |inner| CountRefusals::new(inner, counters.clone())))
         // Anyone may ask for it, so that it takes little.
         .add_service(health.max_decoding_message_size(MAX_HEALTH_BYTES))
         .add_service(InterceptedService::new(cluster, gate(Role::Worker)))

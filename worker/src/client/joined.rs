@@ -74,7 +74,7 @@ impl Life {
         if connector.credentials.tls().is_some() && self.config.relay == Listen::Auto {
             return;
         }
-        match self.relay.listen(self.config.relay, host).await {
+        match self.relay.listen(self.config.relay, host, self.config.counters.clone()).await {
             Ok(address) => self.relay_address = address,
             Err(error) => tracing::warn!(%error, "cannot listen for other workers"),
         }

@@ -13,6 +13,7 @@ mod transfer;
 
 pub(crate) use pull::{Client, client};
 
+use crate::counters::Counters;
 use crate::error::TaskError;
 use bytes::Bytes;
 use gatherlight_proto::Digest;
@@ -57,11 +58,16 @@ impl Relay {
             peers: Peers::new(versions),
         }
     }
-    /// Begins to listen for other workers; `coordinator` is where the coordinator is.
+    /// Begins to listen for other workers, counting what they do; `coordinator` is where the coordinator is.
     ///
     /// # Errors
     /// When it cannot listen there.
-    pub(crate) async fn listen(&self, listen: Listen, coordinator: &str) -> std::io::Result<Option<RelayAddress>> {
+    pub(crate) async fn listen(
+        &self,
+        listen: Listen,
+        coordinator: &str,
+        counters: Arc<Counters>,
+    ) -> std::io::Result<Option<RelayAddress>> {
         let (address, given) = match listen {
             Listen::Off => return Ok(None),
             Listen::On(address) => (address, true),
@@ -72,7 +78,7 @@ impl Relay {
         if address.ip().is_unspecified() {
             address.set_ip(own_address(coordinator).await?);
         }
-        tokio::spawn(server::serve(self.clone(), listener));
+        tokio::spawn(server::serve(self.clone(), listener, counters));
         tracing::info!(%address, "listening for other workers");
         Ok(Some(RelayAddress { address, given }))
     }
@@ -135,6 +141,10 @@ impl Relay {
             });
         }
         transfer
+    }
+    /// Whether this payload was announced.
+    fn is_told(&self, digest: Digest) -> bool {
+        self.lock().route(digest).is_some()
     }
     /// Waits until this payload was announced; `None` if it was with another ticket, or is not here.
     async fn admitted(&self, digest: Digest, ticket: PassTicket) -> Option<Arc<Transfer>> {

@@ -44,6 +44,20 @@ fn an_idle_worker_repeats_an_old_lease_and_the_first_result_counts() {
 }
 
 #[test]
+fn a_lease_counts_as_handed_out_again_once_nobody_has_it_and_as_repeated_while_somebody_has() {
+    let (mut b, _) = slow_tail(seconds(2));
+    let counts = |b: &Bench| b.scheduler.job(JOB).map(|j| (j.retried, j.repeated));
+    assert_eq!(counts(&b), Some((0, 1)));
+    b.event(Event::Lost { worker: B });
+    assert_eq!(counts(&b), Some((0, 1)), "A has it still");
+    b.event(Event::Lost { worker: A });
+    assert_eq!(counts(&b), Some((0, 1)), "nobody has it yet");
+    b.join(C);
+    assert_eq!(counts(&b), Some((1, 1)));
+    assert_eq!(b.scheduler.leases().map(|l| l.reason).collect::<Vec<_>>(), [Reason::Retry]);
+}
+
+#[test]
 fn a_worker_that_was_outrun_gets_nothing_before_it_is_heard_of_its_lease() {
     let answers: [fn(&mut Bench) -> Vec<Command>; 3] = [
         |b| completed(b, A, 1, 1, 9),

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// A bucket that holds one second's worth: so many at once, and so many a second in the long run. Time is an argument.
 #[derive(Clone, Debug)]
-pub(super) struct Rate {
+pub struct Rate {
     per_second: u32,
     /// What may happen now.
     left: f64,
@@ -12,11 +12,12 @@ pub(super) struct Rate {
 }
 
 impl Rate {
-    pub(super) fn new(per_second: u32) -> Self {
+    /// Full, for so many a second.
+    pub fn new(per_second: u32) -> Self {
         Rate { per_second, left: per_second.into(), last: Duration::ZERO }
     }
     /// Whether it may happen once more, at time `now` from any origin.
-    pub(super) fn admit(&mut self, now: Duration) -> bool {
+    pub fn admit(&mut self, now: Duration) -> bool {
         let passed = now.saturating_sub(self.last).as_secs_f64();
         let full = f64::from(self.per_second);
         (self.left, self.last) = ((self.left + passed * full).min(full), now.max(self.last));
