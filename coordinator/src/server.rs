@@ -34,6 +34,8 @@ pub struct ServeConfig {
     pub listen: SocketAddr,
     /// Directory of scene blobs and finished images; made if missing.
     pub store: PathBuf,
+    /// Whether jobs go on after a restart. Without, no result is written to the disk: to measure what that costs.
+    pub journal: bool,
     /// Compute threads for merging and encoding; 0: one per core.
     pub threads: usize,
     /// Most bytes of scene blobs and results kept in the store.
@@ -58,6 +60,7 @@ impl ServeConfig {
         ServeConfig {
             listen,
             store,
+            journal: true,
             threads: 0,
             max_store_bytes: 64 << 30,
             max_live_jobs: 64,
@@ -118,7 +121,8 @@ impl Server {
     pub async fn bind(config: ServeConfig) -> Result<Self, ServeError> {
         let (access, tls) = config.access.open(config.listen).map_err(ServeError::Access)?;
         let store_error = |source| ServeError::Store { path: config.store.clone(), source };
-        let store = Store::open(&config.store, config.max_store_bytes).map_err(store_error)?;
+        let open = if config.journal { Store::open } else { Store::without_journal };
+        let store = open(&config.store, config.max_store_bytes).map_err(store_error)?;
         let compute = Compute::new(config.threads).map_err(ServeError::Start)?;
         let (listener, address) = listen(config.listen).await?;
         let metrics = match config.metrics {

@@ -2,7 +2,11 @@
 //! the same job in one process; in turns, one compute thread each. The images must be equal byte for byte, and the ratio of
 //! the medians at most [`MAX_RATIO`].
 //!
-//! `GATHERLIGHT_BENCH_PHOTONS` sets another number of photon paths for each map.
+//! `GATHERLIGHT_BENCH_PHOTONS` sets another number of photon paths for each map. `-- --journal [photon | path | progressive]`: what
+//! the journal costs instead.
+
+#[path = "cluster_overhead/journal.rs"]
+mod journal;
 
 use gatherlight_tests::processes::{Whose, built_program, cpu_seconds};
 use std::ffi::OsStr;
@@ -16,6 +20,7 @@ const PATHS: u64 = 5_000_000;
 const TURNS: usize = 5;
 /// CPU time through gRPC over CPU time in one process.
 const MAX_RATIO: f64 = 1.05;
+
 fn start(program: &Path, arguments: &[&OsStr], stdout: Stdio) -> Child {
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::null()).stdout(stdout).stderr(Stdio::null());
@@ -80,6 +85,10 @@ fn main() {
     // `cargo test --benches` would run it too.
     if !std::env::args().any(|a| a == "--bench") {
         return;
+    }
+    let has = |flag: &str| std::env::args().any(|a| a == flag);
+    if has("--journal") {
+        return journal::compare(has);
     }
     let paths = std::env::var("GATHERLIGHT_BENCH_PHOTONS").ok().and_then(|v| v.parse().ok()).unwrap_or(PATHS);
     let bench = Bench {

@@ -8,10 +8,13 @@
 //! until the job ends.
 //!
 //! `cargo bench -p gatherlight-tests --bench scale`: the table; `-- --real`: real processes against the model instead, 1 to 8 workers
-//! that are slowed so that two cores are enough for all of them.
+//! that are slowed so that two cores are enough for all of them; `-- --shares [path | photon]`: the same where each has a fixed share
+//! of a core.
 
 #[path = "scale/real.rs"]
 mod real;
+#[path = "scale/shares.rs"]
+mod shares;
 
 use gatherlight::schedule::Policy;
 use gatherlight_proto::payload;
@@ -49,6 +52,7 @@ struct Rates {
     tile_bytes: f64,
     decode_photon: f64,
     build_photon: f64,
+    /// Of a map that a worker decodes, with the irradiance that it computes there.
     read_photon: f64,
 }
 
@@ -111,10 +115,25 @@ fn measure(method: Method) -> Rates {
         };
     }
     let tiles = job.grid().len();
-    let (rendered, gather) = timed(|| (0..tiles).map(|t| job.gather(&inputs, 0, t, None)).collect::<Vec<_>>());
+    // The samples may be divided among passes over the image.
+    let passes = passes(&job.phases());
+    let pass = |round| (0..tiles).map(|t| job.gather(&inputs, round, t, None)).collect::<Vec<_>>();
+    // Irradiance at a map's photons is computed by whoever asks for it first: by every worker, whatever the number of tiles.
+    let (rendered, cold) = timed(|| pass(0));
+    let warm = timed(|| pass(0)).1;
+    let photons = rates.stored_per_path * paths as f64;
+    if photons > 0.0 {
+        rates.read_photon += (cold - warm).max(0.0) / photons;
+    }
+    let gather = warm + timed(|| (1..passes).map(pass).collect::<Vec<_>>()).1;
     let bytes = payload::gather::encode(&rendered, job.channels().len(), None).len();
     let tiles = f64::from(tiles);
     Rates { tile_sample: gather / tiles / f64::from(samples), tile_bytes: bytes as f64 / tiles, ..rates }
+}
+
+/// Times that the whole image is rendered, with a part of its samples each.
+fn passes(phases: &[Phase]) -> u32 {
+    phases.iter().filter(|p| p.makes_image()).count() as u32
 }
 
 /// A job of the table.
@@ -135,14 +154,25 @@ fn jobs() -> Vec<Large> {
     let emission = |round, paths| Phase::Emission { round, map, paths };
     let gather = |round| Phase::Gather { round, tiles: tiles() };
     let rounds = |round| [emission(round, PATHS / u64::from(ROUNDS)), gather(round)];
-    vec![
-        Large { title: "path", method: Method::Path, phases: vec![gather(0)], samples },
-        Large {
-            title: "photon, one map",
-            method: Method::Photon,
-            phases: vec![emission(0, PATHS), gather(0)],
+    // As the programs divide them into passes.
+    let as_it_is = |title, method| {
+        let (width, height, samples) = IMAGE;
+        let settings = RenderSettings {
+            method,
+            width,
+            height,
             samples,
-        },
+            photons: PATHS,
+            caustic_photons: 0,
+            ..RenderSettings::for_method(method)
+        };
+        let phases = PreparedJob::prepare(&scene("cornell-caustic.glb"), &settings).expect("a scene").phases();
+        let samples = f64::from(samples) / f64::from(passes(&phases));
+        Large { title, method, phases, samples }
+    };
+    vec![
+        as_it_is("path", Method::Path),
+        as_it_is("photon, one map", Method::Photon),
         Large {
             title: "progressive, 64 rounds",
             method: Method::Progressive,
@@ -191,7 +221,7 @@ fn table() {
     println!("|---|---|{}", "---|".repeat(WORKERS.len()));
     for large in jobs() {
         let rates = on_one_thread(|| measure(large.method));
-        eprintln!("{}: {rates:?}", large.title);
+        eprintln!("{}: {rates:?}, {} passes", large.title, passes(&large.phases));
         for gbit in GBITS {
             let c = costs(&rates, large.samples, gbit);
             let cell = |workers: usize| {
@@ -216,5 +246,10 @@ fn main() {
     if !std::env::args().any(|a| a == "--bench") {
         return;
     }
-    if std::env::args().any(|a| a == "--real") { real::compare() } else { table() }
+    let has = |flag: &str| std::env::args().any(|a| a == flag);
+    match (has("--shares"), has("--real")) {
+        (true, _) => shares::compare(has),
+        (false, true) => real::compare(),
+        (false, false) => table(),
+    }
 }

@@ -5,18 +5,28 @@ use gatherlight_tests::processes::program;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Ranks on this machine, each with its number, and the first failure as exit code: what `srun` does as far as the script needs it.
+/// Ranks on this machine, each with its number, all of which end with the first that fails, and its exit code: what `srun` does as
+/// far as the script needs it.
 const SRUN: &str = r#"#!/usr/bin/env bash
-[ "$1" = --kill-on-bad-exit=1 ] || exit 99
-shift
+[ "$1 $2" = "--no-kill --kill-on-bad-exit=1" ] || exit 99
+shift 2
+set -m
 ranks=()
 for rank in 0 1 2; do
     SLURM_PROCID=$rank SLURMD_NODENAME=127.0.0.1 "$@" &
     ranks+=($!)
 done
-code=0
-for pid in "${ranks[@]}"; do wait "$pid" || code=$?; done
-exit $code
+for _ in "${ranks[@]}"; do
+    wait -n || code=${code:-$?}
+    [ -z "$code" ] || for rank in "${ranks[@]}"; do kill -- "-$rank" 2>/dev/null; done
+done
+exit ${code:-0}
+"#;
+
+/// A worker that is killed as it starts on one of the ranks.
+const DYING_WORKER: &str = r#"#!/usr/bin/env bash
+[ "$SLURM_PROCID" -ne 2 ] || kill -KILL $$
+exec "$PROGRAMS/gatherlight-worker" "$@"
 "#;
 
 fn root() -> PathBuf {
@@ -88,8 +98,40 @@ fn the_slurm_script_ends_with_the_client_s_exit_code() {
     let ended = batch.output().expect("starts");
     let log = String::from_utf8_lossy(&ended.stderr);
     assert!(!ended.status.success() && log.contains("absent.glb"), "{log}");
+    assert!(!at("gatherlight-43").exists(), "the token and the store are removed");
     let usage = Command::new(root().join("deploy/slurm/gatherlight.sbatch")).output().expect("starts");
     assert_eq!(usage.status.code(), Some(2));
+}
+
+#[test]
+fn the_slurm_script_survives_a_worker_and_leaves_what_is_not_its_own() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| directory.path().join(name);
+    let programs = program("gatherlight").parent().expect("is in a directory").to_owned();
+    for own in ["bin", "shared"] {
+        std::fs::create_dir(at(own)).expect("is made");
+    }
+    std::fs::write(at("shared/mine"), "mine").expect("is written");
+    make_executable(&at("bin/srun"), SRUN);
+    make_executable(&at("bin/gatherlight-worker"), DYING_WORKER);
+    std::os::unix::fs::symlink(programs.join("gatherlight"), at("bin/gatherlight")).expect("is made");
+    let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").expect("is set"));
+    let batch = Command::new(root().join("deploy/slurm/gatherlight.sbatch"))
+        .arg(root().join("scenes/cornell-diffuse.glb"))
+        .arg(at("slurm.exr"))
+        .args(["--method", "path", "--width", "32", "--height", "24", "--samples", "4096"])
+        .env("PATH", &path)
+        .env("PROGRAMS", &programs)
+        .env("SLURM_JOB_ID", "44")
+        .env("GATHERLIGHT_DIR", at("shared"))
+        .output()
+        .expect("starts");
+    let log = String::from_utf8_lossy(&batch.stderr).into_owned();
+    assert!(batch.status.success() && at("slurm.exr").is_file(), "{log}");
+    assert!(log.contains("ended with exit code 137"), "{log}");
+    let left: Vec<_> =
+        std::fs::read_dir(at("shared")).expect("is there").map(|e| e.expect("an entry").file_name()).collect();
+    assert_eq!(left, ["mine"]);
 }
 
 /// Words that begin with `--` in a text, up to `=` or a space.

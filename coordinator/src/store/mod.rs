@@ -70,12 +70,20 @@ impl Store {
     /// # Errors
     /// When the directory cannot be made, read or written.
     pub fn open(directory: &Path, limit_bytes: u64) -> io::Result<Self> {
-        let (place, used) = Directory::open(directory)?;
+        let store = Self::without_journal(directory, limit_bytes)?;
         // After the directory is there.
         let journal = Some(Journal::open(&directory.join("jobs.redb"))?);
-        Ok(Store { place: Place::Directory(place), journal, limit_bytes, used_bytes: AtomicU64::new(used) })
+        Ok(Store { journal, ..store })
     }
-    /// What jobs are and have done; none for a store in memory.
+    /// The same, but jobs end with the process.
+    ///
+    /// # Errors
+    /// As [`Store::open`].
+    pub fn without_journal(directory: &Path, limit_bytes: u64) -> io::Result<Self> {
+        let (place, used) = Directory::open(directory)?;
+        Ok(Store { place: Place::Directory(place), journal: None, limit_bytes, used_bytes: AtomicU64::new(used) })
+    }
+    /// What jobs are and have done; none for a store in memory, or without one.
     pub fn journal(&self) -> Option<&Journal> {
         self.journal.as_ref()
     }

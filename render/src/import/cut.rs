@@ -5,7 +5,7 @@
 //! files are cut likewise, and left out where nothing of them is read. A cut scene is loaded as the original is: it
 //! gives the same description, to the bit, for the settings it was cut for.
 
-use super::buffer::ByteRange;
+use super::buffer::{Buffers, ByteRange, Files};
 use super::document::Document;
 use super::needs::Needs;
 use super::{SceneBundle, Wanted, glb, parsed};
@@ -147,7 +147,12 @@ pub fn cut(bundle: &SceneBundle, digest: [u8; 32], wanted: Wanted) -> Result<Sce
     if wanted.everything || container.table.is_some() {
         return Ok(bundle.clone());
     }
-    let (needs, uris) = parsed(&bundle.name, container.json, wanted, Uris::read)?;
+    let whole = Files { binary: container.binary, externals: &bundle.externals, cut: None };
+    let (needs, uris) = parsed(&bundle.name, container.json, wanted, |doc, needs| {
+        // What is missing from a buffer cannot be seen from its pieces.
+        Buffers::resolve(doc, whole, needs)?;
+        Uris::read(doc, needs)
+    })?;
     let binary = container.binary.map(|bytes| shortened(bytes, uris.pieces(&needs, None)));
     let mut changed = matches!(binary, Some(Some(_)));
     let mut files = vec![None];
