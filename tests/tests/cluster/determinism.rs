@@ -86,7 +86,7 @@ static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {
         photons: 20_000,
         caustic_photons: 30_000,
         k: 20,
-        rounds: 5,
+        rounds: 7,
         chains: 24,
         mutations: 2,
         bootstrap: 4_000,
@@ -193,8 +193,10 @@ fn an_error_limit_ends_a_job_after_the_same_round_everywhere() {
         assert!(noise.relative > 0.0 && whole.metadata.noise == Some(noise), "{}: {noise:?}", case.name());
         let ended = [(1, 2), (3, 1)].map(|(w, t)| case.render(w, t, |c| c.limits = limited(1e6)));
         for result in &ended {
-            // The least number that an error is trusted after; of chains, that with a mutation for each pixel.
-            let rounds = if case.settings.method == Method::Mlt { 6 } else { 4 };
+            // The least number that an error is trusted after; of chains, that with a mutation for each pixel, and where there is blur,
+            // that with four blocks.
+            let method = case.settings.method;
+            let rounds = if method == Method::Mlt || method.has_rounds() { 6 } else { 4 };
             assert_eq!(
                 (result.stats.rounds_done, result.stats.ended_by),
                 (rounds, Some(Limit::Error)),
