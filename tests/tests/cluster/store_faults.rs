@@ -91,8 +91,8 @@ async fn a_job_whose_scene_is_damaged_fails_and_says_so() {
     assert!(reason.contains("restart") && reason.contains("damaged"), "{reason}");
 }
 
-#[test]
-fn a_store_that_is_no_database_or_is_in_use_is_refused_in_words() {
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_store_that_is_no_database_or_is_in_use_is_refused_in_words() {
     let store = tempfile::tempdir().expect("a directory");
     std::fs::write(store.path().join("jobs.redb"), vec![7; 100_000]).expect("is written");
     let (code, text) = serve_and_end(store.path()).await;
