@@ -24,13 +24,6 @@ pub struct Counters {
     pub refusals: Labelled,
 }
 
-impl Counters {
-    /// A peer was refused something.
-    pub fn refused(&self, reason: &'static str) {
-        self.refusals.add(reason, 1);
-    }
-}
-
 impl Tally for Counters {
     fn connected(&self) {
         self.connections.add(1);

@@ -9,7 +9,7 @@
 //!
 //! `cargo bench -p gatherlight-tests --bench scale`: the table; `-- --real`: real processes against the model instead, 1 to 8 workers
 //! that are slowed so that two cores are enough for all of them; `-- --shares [path | photon]`: the same where each has a fixed share
-//! of a core.
+//! of a core; `-- --events`: the real time of the scheduler itself.
 
 #[path = "scale/real.rs"]
 mod real;
@@ -26,7 +26,7 @@ use gatherlight_tests::pipeline::Link;
 use gatherlight_tests::scene;
 use gatherlight_tests::simulation::{Conditions, Costs, Report, simulate};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const WORKERS: [usize; 5] = [1, 8, 64, 512, 1_000];
 const GBITS: [f64; 3] = [1.0, 10.0, 100.0];
@@ -116,7 +116,6 @@ fn measure(method: Method) -> Rates {
     }
     let tiles = job.grid().len();
     // The samples may be divided among passes over the image.
-    let passes = passes(&job.phases());
     let pass = |round| (0..tiles).map(|t| job.gather(&inputs, round, t, None)).collect::<Vec<_>>();
     // Irradiance at a map's photons is computed by whoever asks for it first: by every worker, whatever the number of tiles.
     let (rendered, cold) = timed(|| pass(0));
@@ -125,15 +124,10 @@ fn measure(method: Method) -> Rates {
     if photons > 0.0 {
         rates.read_photon += (cold - warm).max(0.0) / photons;
     }
-    let gather = warm + timed(|| (1..passes).map(pass).collect::<Vec<_>>()).1;
+    let gather = warm + timed(|| (1..job.rounds()).map(pass).collect::<Vec<_>>()).1;
     let bytes = payload::gather::encode(&rendered, job.channels().len(), None).len();
     let tiles = f64::from(tiles);
     Rates { tile_sample: gather / tiles / f64::from(samples), tile_bytes: bytes as f64 / tiles, ..rates }
-}
-
-/// Times that the whole image is rendered, with a part of its samples each.
-fn passes(phases: &[Phase]) -> u32 {
-    phases.iter().filter(|p| p.makes_image()).count() as u32
 }
 
 /// A job of the table.
@@ -166,9 +160,8 @@ fn jobs() -> Vec<Large> {
             caustic_photons: 0,
             ..RenderSettings::for_method(method)
         };
-        let phases = PreparedJob::prepare(&scene("cornell-caustic.glb"), &settings).expect("a scene").phases();
-        let samples = f64::from(samples) / f64::from(passes(&phases));
-        Large { title, method, phases, samples }
+        let job = PreparedJob::prepare(&scene("cornell-caustic.glb"), &settings).expect("a scene");
+        Large { title, method, phases: job.phases(), samples: f64::from(samples) / f64::from(job.rounds()) }
     };
     vec![
         as_it_is("path", Method::Path),
@@ -221,7 +214,7 @@ fn table() {
     println!("|---|---|{}", "---|".repeat(WORKERS.len()));
     for large in jobs() {
         let rates = on_one_thread(|| measure(large.method));
-        eprintln!("{}: {rates:?}, {} passes", large.title, passes(&large.phases));
+        eprintln!("{}: {rates:?}", large.title);
         for gbit in GBITS {
             let c = costs(&rates, large.samples, gbit);
             let cell = |workers: usize| {
@@ -241,15 +234,37 @@ fn table() {
     }
 }
 
+/// Real time of the scheduler itself, which is one thread's: with a thousand workers it takes in some thousand events a second.
+fn events() {
+    // A tail that is long: the oldest leases are repeated by whoever has nothing to do.
+    let policy = Policy { twin_after: Duration::from_millis(500), ..Policy::default() };
+    for workers in [10, 1_000] {
+        let (paths, tiles) = (1_000_000 * workers as u64, 130 * workers as u32);
+        let conditions =
+            Conditions { workers, paths, tiles, jobs: 1, stall: 0.01, policy: policy.clone(), ..Conditions::fair() };
+        // The quickest of some runs: other programs have the same processors.
+        let costs = (1..4).map(|seed| {
+            let Report { events, scheduler_time, .. } = simulate(seed, &conditions);
+            (scheduler_time.as_secs_f64() * 1e6 / events as f64, events)
+        });
+        let (micros, events) = costs.min_by(|a, b| a.0.total_cmp(&b.0)).expect("some");
+        println!("{workers} workers: {events} events, {micros:.2} µs each");
+    }
+}
+
 fn main() {
     // `cargo test --benches` would run it too.
     if !std::env::args().any(|a| a == "--bench") {
         return;
     }
     let has = |flag: &str| std::env::args().any(|a| a == flag);
-    match (has("--shares"), has("--real")) {
-        (true, _) => shares::compare(has),
-        (false, true) => real::compare(),
-        (false, false) => table(),
+    if has("--shares") {
+        shares::compare(has);
+    } else if has("--real") {
+        real::compare();
+    } else if has("--events") {
+        events();
+    } else {
+        table();
     }
 }

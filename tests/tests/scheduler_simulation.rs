@@ -3,9 +3,7 @@
 //!
 //! One run is one seed. To replay seed 1234: `SIMULATION_SEED=1234 cargo test --test scheduler_simulation -- --nocapture`.
 
-use gatherlight::schedule::Policy;
 use gatherlight_tests::simulation::{Conditions, Report, simulate};
-use std::time::Duration;
 
 /// Runs of each kind of weather.
 const SEEDS: u64 = 300;
@@ -148,28 +146,6 @@ fn a_thousand_workers_keep_busy_over_rounds() {
     let report = reports.find(|r| r.rounds >= 8 && r.widest_window > 4).unwrap_or_default();
     assert_eq!(report.retried, 0);
     assert!(report.idle_fraction < 0.25, "idle {:.3}, {report:?}", report.idle_fraction);
-}
-
-/// Real time of the scheduler itself, which is one thread's: with a thousand workers it takes in some thousand events a second.
-#[test]
-fn an_event_costs_little_with_a_thousand_workers() {
-    // A tail that is long: the oldest leases are repeated by whoever has nothing to do.
-    let policy = Policy { twin_after: Duration::from_millis(500), ..Policy::default() };
-    let of = |workers: usize| {
-        let (paths, tiles) = (1_000_000 * workers as u64, 130 * workers as u32);
-        let conditions =
-            Conditions { workers, paths, tiles, jobs: 1, stall: 0.01, policy: policy.clone(), ..Conditions::fair() };
-        // The quickest of some runs: other programs have the same processors.
-        let costs = (1..4).map(|seed| {
-            let Report { events, scheduler_time, .. } = simulate(seed, &conditions);
-            (scheduler_time.as_secs_f64() * 1e6 / events as f64, events)
-        });
-        let (micros, events) = costs.min_by(|a, b| a.0.total_cmp(&b.0)).expect("some");
-        println!("{workers} workers: {events} events, {micros:.2} µs each");
-        micros
-    };
-    let [few, many] = [10, 1_000].map(of);
-    assert!(many < 30.0 * few, "{many} µs and {few} µs");
 }
 
 /// An 8K image in passes that all read the same maps: at most two passes are under way, and closing one hides behind the next.

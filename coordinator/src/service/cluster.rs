@@ -9,7 +9,7 @@ use crate::room::{self, Room};
 use bytes::Bytes;
 use gatherlight_proto::chunk::Assembler;
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, SessionKey, WorkerId};
-use gatherlight_proto::serve::{Peer, Rate};
+use gatherlight_proto::serve::{Peer, Rate, Tally};
 use gatherlight_proto::wire::cluster_server::Cluster;
 use gatherlight_proto::wire::deliver_request::Kind;
 use gatherlight_proto::wire::{

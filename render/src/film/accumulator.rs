@@ -87,6 +87,13 @@ impl Default for Brightness {
     }
 }
 
+impl Brightness {
+    /// What it adds to the variance of a pixel of that value, before it is multiplied with the factor.
+    fn variance(self, value: f64) -> f64 {
+        self.relative_variance * value * value
+    }
+}
+
 /// How far an image is from its expectation, by what its rounds differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
@@ -173,10 +180,6 @@ impl Accumulator {
     /// Whether all tiles of the round in the making are there.
     pub fn is_round_complete(&self) -> bool {
         self.film.is_complete()
-    }
-    /// Blocks between which the noise is told: it has one degree of freedom less.
-    pub fn compared_blocks(&self) -> u32 {
-        self.sums.as_ref().map_or(0, |s| s.compared)
     }
     /// Rounds closed.
     pub fn closed_rounds(&self) -> u32 {
@@ -396,8 +399,7 @@ impl Accumulator {
             let mut total = [0.0; 2];
             for (x, c) in (0..size[0]).flat_map(|x| (0..3).map(move |c| (x, c))) {
                 let own = value(y * size[0] + x, c);
-                let of_brightness = self.brightness.relative_variance * own * own;
-                let variance = self.variance_between(sums, [y * size[0] + x, c]) + of_brightness;
+                let variance = self.variance_between(sums, [y * size[0] + x, c]) + self.brightness.variance(own);
                 if variance > 0.0 {
                     // The square of the true value is v² − variance in the mean: a rare bright sample is no excuse for its own noise, and a
                     // pixel that has only one is worth what those around it are.
@@ -468,13 +470,9 @@ impl Accumulator {
             }
         };
         let pixels: Vec<_> = (0..sums.squares.len() / 3).into_par_iter().map(pixel).collect();
-        let Brightness { factor, relative_variance } = self.brightness;
-        let found = standard_error::variances(&pixels, width);
+        let (brightness, found) = (self.brightness, standard_error::variances(&pixels, width));
         let error = |(pixel, variance): (&standard_error::Pixel, [f64; 3])| {
-            [0, 1, 2].map(|c| {
-                let of_brightness = relative_variance * pixel.value[c] * pixel.value[c];
-                (factor * (variance[c] + of_brightness).sqrt()) as f32
-            })
+            [0, 1, 2].map(|c| (brightness.factor * (variance[c] + brightness.variance(pixel.value[c])).sqrt()) as f32)
         };
         pixels.iter().zip(found).map(error).collect()
     }

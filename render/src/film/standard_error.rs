@@ -13,7 +13,7 @@ const RADIUS: usize = 2;
 const ALIKE: f64 = 1.5;
 
 /// What is known of a pixel by itself, of each channel.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Pixel {
     /// Its value, the mean over its samples.
     pub value: [f64; 3],

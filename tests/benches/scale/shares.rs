@@ -1,6 +1,6 @@
 //! The model against real programs, each with a fixed share of a core: control groups of Linux (v1, controller `cpu`).
 
-use super::{costs, measure, on_one_thread, passes, run, timed};
+use super::{costs, measure, on_one_thread, run, timed};
 use gatherlight::client::connect;
 use gatherlight::schedule::Policy;
 use gatherlight_render::job::PreparedJob;
@@ -107,8 +107,7 @@ fn compare_one(method: Method) {
     });
     drop(share);
     eprintln!("{method:?}: {rates:?}, {preparation:.2} s to prepare the scene");
-    let phases = prepared.phases();
-    let samples = f64::from(settings.samples) / f64::from(passes(&phases));
+    let samples = f64::from(settings.samples) / f64::from(prepared.rounds());
     let large = costs(&rates, samples, 10.0);
     let at_coordinator = |seconds: f64| seconds * WORKER / COORDINATOR;
     let pixels = f64::from(settings.width) * f64::from(settings.height);
@@ -126,7 +125,7 @@ fn compare_one(method: Method) {
     let mut first = None;
     for workers in [1, 2, 4, 8] {
         let seconds = runtime.block_on(real(workers, &settings));
-        let simulated = run(&phases, workers, c, Policy::default()).elapsed as f64 * 1e-6;
+        let simulated = run(&prepared.phases(), workers, c, Policy::default()).elapsed as f64 * 1e-6;
         // Large jobs do not notice the scene; every worker prepares it, all at once.
         let modelled = simulated + preparation;
         let (real_one, model_one) = *first.get_or_insert((seconds, modelled));
