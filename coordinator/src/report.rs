@@ -274,6 +274,13 @@ pub fn stats_json(t: &JobStats) -> Value {
             })
         })
         .collect();
+    let transfers: Vec<Value> = t
+        .transfers
+        .iter()
+        .map(|(kind, t)| {
+            json!({ "collective": kind.name(), "count": t.count, "bytes": t.bytes, "time_s": t.time.as_secs_f64() })
+        })
+        .collect();
     json!({
         "maps": maps,
         "rays": t.rays,
@@ -297,6 +304,7 @@ pub fn stats_json(t: &JobStats) -> Value {
         "repeated_leases": t.repeated_leases,
         "disputes": t.disputes,
         "restarts": t.restarts,
+        "transfers": transfers,
         "result_bytes": t.result_bytes,
         "broadcast_bytes": t.broadcast_bytes,
         "rounds_done": t.rounds_done,

@@ -8,10 +8,12 @@
 //! - [`serve`]: what servers of ours let their peers cost;
 //! - [`stored`]: what the coordinator keeps of jobs in its store;
 //! - [`connect`], [`credentials`]: how workers and clients reach a coordinator and prove who they are;
+//! - [`collective`]: what collective operations moved;
 //! - [`limits`]: what a peer may send at most.
 #![deny(unsafe_code)]
 
 pub mod chunk;
+pub mod collective;
 pub mod connect;
 pub mod convert;
 pub mod credentials;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 /// Version of messages and payload layouts; both sides must have the same.
-pub const PROTOCOL_VERSION: u32 = 7;
+pub const PROTOCOL_VERSION: u32 = 8;
 /// Metadata key of the sender's [`PROTOCOL_VERSION`].
 pub const PROTOCOL_KEY: &str = "gatherlight-protocol";
 /// Metadata key of the sender's program version.

@@ -1,5 +1,6 @@
 //! What coordinator and workers say to each other, as domain types.
 
+use crate::collective::Transfers;
 use crate::digest::Digest;
 use crate::pieces::STRIPES;
 use crate::types::{JobId, Limits};
@@ -314,4 +315,6 @@ pub struct DeliverHeader {
     pub bytes: u64,
     /// BLAKE3 of the result.
     pub digest: Digest,
+    /// What the worker fetched since its last result.
+    pub fetched: Transfers,
 }

@@ -1,5 +1,6 @@
 //! What clients see of jobs and workers, and what coordinator and workers tell each other.
 
+use crate::collective::Transfers;
 use crate::digest::Digest;
 use gatherlight_render::film::light_image::Mutations;
 use gatherlight_render::film::{Bias, Noise};
@@ -194,16 +195,21 @@ pub struct JobStats {
     pub disputes: u64,
     /// Times the coordinator was restarted amid the job.
     pub restarts: u32,
+    /// What collective operations moved, of results that count; a coordinator that is started again knows those of rounds whose
+    /// film it finds.
+    pub transfers: Transfers,
 }
 
 impl JobStats {
-    /// Adds the work that `part` counts: rays, mutations, what was not finite, time, and bytes of results and maps.
+    /// Adds the work that `part` counts: rays, mutations, what was not finite, time, transfers, and bytes of results and
+    /// maps.
     pub fn add(&mut self, part: &JobStats) {
         self.rays = self.rays.saturating_add(part.rays);
         self.mutations.add(&part.mutations);
         self.non_finite.add(&part.non_finite);
         self.busy += part.busy;
         self.result_bytes += part.result_bytes;
+        self.transfers.add(&part.transfers);
         for map in &part.maps {
             match self.maps.iter_mut().find(|m| m.kind == map.kind) {
                 Some(m) => m.bytes += map.bytes,

@@ -4,7 +4,7 @@
 //! any time, more than once, and the image has the same bits.
 
 use crate::error::{SceneError, SettingsError};
-use crate::film::{Accumulator, ChannelSet, LightImage, MapError, SampleMap, Tile, TileGrid};
+use crate::film::{Accumulator, ChannelSet, LightImage, MapError, SampleMap, Tile, TileGrid, TileRect};
 use crate::import::{self, SceneBundle, Wanted};
 use crate::integrator::bdpt::Bdpt;
 use crate::integrator::mlt::Mlt;
@@ -20,6 +20,7 @@ use crate::photon::query::NeighbourBuffer;
 use crate::photon::trace::{Emission, Storage};
 use crate::photon::{EmissionRange, MapKind, PhotonBatch};
 use crate::plan::{self, EmissionPlan, Plan};
+use crate::scene::surfaces::{Any, Bare, Surfaces};
 use crate::scene::{Camera, Scene, SceneDigest, builder};
 use crate::settings::{Layer, Method, RenderSettings};
 use rayon::prelude::*;
@@ -167,6 +168,7 @@ impl PreparedJob {
         // Testing every hit for holes finds none where there are none.
         scene.has_alpha_masks |= settings.keep_all;
         scene.has_absorption |= settings.keep_all;
+        scene.is_bare &= !settings.keep_all;
         let (width, height) = (settings.width, settings.height);
         let (camera, note) = builder::choose_camera(&cameras, bounds, &scene.space, &settings.camera, width, height)?;
         let mut warnings = std::mem::take(&mut scene.warnings);
@@ -448,24 +450,36 @@ impl PreparedJob {
                     bdpt.trace(id, ray, sampler, light)
                 })
             }
-            Method::Photon | Method::Progressive => {
-                let gather = self.gather_settings(maps, round);
-                let mut pass =
-                    PhotonGather { scene, maps, settings: gather, reading: Whole, buffer: NeighbourBuffer::new() };
-                tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
-                    pass.trace(ray, sampler)
-                })
-            }
             Method::Whitted => {
                 let mut tree = Whitted::new(scene, settings.max_depth);
                 tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
                     tree.trace(ray, sampler)
                 })
             }
-            _ => tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
-                path::trace(scene, ray, settings.max_depth, sampler)
-            }),
+            _ if scene.is_bare => self.gather_among(Bare, maps, round, index, rect, samples),
+            _ => self.gather_among(Any, maps, round, index, rect, samples),
         }
+    }
+
+    /// [`PreparedJob::gather`] of the methods that are compiled for each kind of surfaces by itself.
+    fn gather_among<S: Surfaces>(
+        &self,
+        surfaces: S,
+        maps: &PhotonMaps,
+        round: u32,
+        index: u32,
+        rect: TileRect,
+        samples: Samples<'_>,
+    ) -> Tile {
+        let (settings, scene, camera) = (&self.settings, &self.scene, &self.camera);
+        if !matches!(settings.method, Method::Photon | Method::Progressive) {
+            return tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| {
+                path::trace::<S>(scene, ray, settings.max_depth, sampler)
+            });
+        }
+        let (gather, buffer) = (self.gather_settings(maps, round), NeighbourBuffer::new());
+        let mut pass = PhotonGather { scene, maps, settings: gather, reading: Whole, surfaces, buffer };
+        tile::render(index, rect, settings, camera, &scene.space, samples, |ray, sampler| pass.trace(ray, sampler))
     }
 
     fn vcm_round(&self, round: u32) -> vcm::Round<'_> {

@@ -70,6 +70,7 @@ async fn deliver(client: &mut Client, session: SessionKey, lease: Lease, batch: 
         busy: Duration::from_millis(1),
         bytes: payload.len() as u64,
         digest: Digest::of(&payload),
+        fetched: Default::default(),
     };
     let (requests, outbound) = mpsc::channel(1);
     requests.send(DeliverRequest { kind: Some(Kind::Header(header.into())) }).await.expect("is open");

@@ -1,6 +1,6 @@
 //! Energy, reciprocity and extremes of every material, against closed forms.
 
-use gatherlight_render::material::{Bsdf, Lobes, TransportMode};
+use gatherlight_render::material::{Bsdf, Lobes, Scatter, TransportMode};
 use gatherlight_render::math::{Purpose, Rgb, Stream, warp};
 use gatherlight_render::scene::description::MaterialDescription;
 use gatherlight_tests::fixtures;

@@ -3,7 +3,7 @@
 use gatherlight_render::light::{
     DirectionalLight, EmissiveTriangle, Light, LightContext, Lights, PointLight, SpotLight,
 };
-use gatherlight_render::material::{Bsdf, Lobes, Material, Textures, TransportMode};
+use gatherlight_render::material::{Bsdf, Lobes, Material, Scatter, Textures, TransportMode};
 use gatherlight_render::math::{Purpose, Rgb, Stream};
 use gatherlight_render::scene::description::MaterialDescription;
 use gatherlight_tests::chi_square::{SphereGrid, chi_square, sidak, test_directions};

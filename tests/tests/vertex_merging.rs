@@ -3,7 +3,7 @@
 use gatherlight_render::integrator::connect::Connector;
 use gatherlight_render::integrator::vcm::Round;
 use gatherlight_render::integrator::vertex::{Merging, Start, Walk};
-use gatherlight_render::material::TransportMode;
+use gatherlight_render::material::{Scatter, TransportMode};
 use gatherlight_render::math::sobol::Sampler;
 use gatherlight_render::math::{Purpose, Rgb, ops};
 use gatherlight_render::photon::estimate::{for_each_on_surface, irradiance_within};

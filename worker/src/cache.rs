@@ -8,6 +8,7 @@ use crate::session::Announced;
 use crate::shared::Shared;
 use bytes::Bytes;
 use gatherlight_proto::Digest;
+use gatherlight_proto::collective::{Collective, Transfer, Transfers};
 use gatherlight_proto::limits::{MAX_BLOB_BYTES, MAX_MAP_BYTES};
 use gatherlight_proto::message::{BlobRef, MapRef};
 use gatherlight_proto::payload::map::decode_map;
@@ -20,6 +21,7 @@ use gatherlight_render::job::{Phase, PhotonMap, PhotonMaps, PreparedJob};
 use gatherlight_render::photon::{EmissionRange, MapKind};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Bytes of memory a photon takes at least, to bound what a map may claim to hold.
 const MIN_PHOTON_BYTES: u64 = 16;
@@ -53,12 +55,18 @@ pub struct Cache {
     memory_bytes: u64,
     shared: Shared,
     jobs: BTreeMap<JobId, Held>,
+    /// What was fetched since it was last asked for.
+    fetched: Transfers,
 }
 
 impl Cache {
     /// An empty cache of a worker that may use `memory_bytes` beside what is `shared`.
     pub fn new(memory_bytes: u64, shared: Shared) -> Self {
-        Cache { memory_bytes, shared, jobs: BTreeMap::new() }
+        Cache { memory_bytes, shared, jobs: BTreeMap::new(), fetched: Transfers::default() }
+    }
+    /// What was fetched since this was last asked.
+    pub fn take_fetched(&mut self) -> Transfers {
+        std::mem::take(&mut self.fetched)
     }
     /// Drops what is held for a job.
     pub fn forget(&mut self, job: JobId) {
@@ -135,7 +143,7 @@ impl Cache {
         let joined = match self.shared.bootstrap(wanted.digest) {
             Some(shared) => shared,
             None => {
-                let bytes = self.read("bootstrap", wanted, remote).await?;
+                let bytes = self.read(Collective::BroadcastBootstrap, "bootstrap", wanted, remote).await?;
                 let paths = prepared.phases().iter().find_map(|p| match *p {
                     Phase::Bootstrap { paths } => Some(paths),
                     _ => None,
@@ -167,7 +175,7 @@ impl Cache {
         let map = match self.shared.sample_map(wanted.digest) {
             Some(shared) => shared,
             None => {
-                let bytes = self.read("sample map", wanted, remote).await?;
+                let bytes = self.read(Collective::BroadcastSampleMap, "sample map", wanted, remote).await?;
                 Arc::new(sample_map::decode(&bytes, prepared.grid())?)
             }
         };
@@ -175,29 +183,39 @@ impl Cache {
         Ok(map)
     }
     /// Fetches something that the job's tasks read, if it fits.
-    async fn read(&self, what: &str, blob: BlobRef, remote: &Remote) -> Result<Bytes, TaskError> {
+    async fn read(&mut self, kind: Collective, what: &str, blob: BlobRef, remote: &Remote) -> Result<Bytes, TaskError> {
         let (bytes, limit) = (blob.bytes, self.memory_bytes);
         if bytes > limit {
             return Err(TaskError::Memory { what: what.into(), bytes, limit });
         }
-        remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await
+        let began = Instant::now();
+        let read = remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
+        self.count(kind, blob, began);
+        Ok(read)
     }
-    async fn map(&self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
+    fn count(&mut self, kind: Collective, blob: BlobRef, began: Instant) {
+        self.fetched.record(kind, Transfer { count: 1, bytes: blob.bytes, time: began.elapsed() });
+    }
+    async fn map(&mut self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
         if let Some(shared) = self.shared.map(map.digest) {
             return Ok(shared);
         }
         let blob = BlobRef { digest: map.digest, bytes: map.bytes };
-        let bytes = self.read(&format!("{} map", map.kind.name()), blob, remote).await?;
+        let bytes = self.read(Collective::BroadcastMap, &format!("{} map", map.kind.name()), blob, remote).await?;
         let max_photons = self.memory_bytes / MIN_PHOTON_BYTES;
         let decoded = executor.run(move || decode_map(&bytes, map.kind, max_photons)).await??;
         Ok(Arc::new(decoded))
     }
-    async fn bundle(&self, job: &Announced, remote: &Remote) -> Result<SceneBundle, TaskError> {
+    async fn bundle(&mut self, job: &Announced, remote: &Remote) -> Result<SceneBundle, TaskError> {
         let scene = &job.scene;
         let mut externals = Vec::with_capacity(scene.externals.len());
+        let began = Instant::now();
         let root = remote.fetch(&scene.name, scene.root, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
+        self.count(Collective::BroadcastScene, scene.root, began);
         for (uri, blob) in &scene.externals {
+            let began = Instant::now();
             let bytes = remote.fetch(uri, *blob, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
+            self.count(Collective::BroadcastScene, *blob, began);
             externals.push((uri.clone(), Arc::from(&bytes[..])));
         }
         Ok(SceneBundle { name: scene.name.clone(), root: Arc::from(&root[..]), externals })

@@ -9,6 +9,7 @@ use crate::store::Store;
 use crate::types::{JobId, JobProgress, WorkerInfo};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
+use gatherlight_proto::collective::Transfers;
 use gatherlight_proto::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, InputRef, LeaseId, PassTicket, Route, SessionKey, ToWorker, WorkerId,
 };
@@ -125,6 +126,8 @@ pub struct Ticket {
     pub range: EmissionRange,
     /// Time the worker says it computed.
     pub busy: Duration,
+    /// What the worker says it fetched for it.
+    pub fetched: Transfers,
     /// The phase it is part of, and its index within the job.
     pub phase: (usize, Phase),
     /// How the job's results look.
@@ -178,6 +181,8 @@ pub struct Delivery {
     pub raw: Bytes,
     /// Digest of that.
     pub digest: Digest,
+    /// From its announcement to its last byte.
+    pub transfer: Duration,
     /// The memory it takes until it is merged and noted.
     pub room: Room,
 }

@@ -29,6 +29,7 @@ use crate::store::Store;
 use crate::store::journal::{Change, SavedResult};
 use crate::types::{JobId, JobStats};
 use gatherlight_proto::Digest;
+use gatherlight_proto::collective::{Transfer, Transfers};
 use gatherlight_proto::message::{DeliverHeader, FromWorker, ToWorker, WorkerId};
 use gatherlight_render::film::SampleMap;
 use gatherlight_render::integrator::Bootstrap;
@@ -40,6 +41,7 @@ use sessions::Sessions;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
+use steps::collective;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
@@ -345,6 +347,7 @@ impl Driver {
             attempt: header.attempt,
             range: header.range,
             busy: header.busy,
+            fetched: header.fetched,
             phase,
             shape: live.shape.clone(),
             is_early: live.is_early(phase.1),
@@ -360,8 +363,9 @@ impl Driver {
 
     /// Offers a result to the scheduler and, where it counts, puts it to use. `reply` hears that it counts once it is safe.
     fn complete(&mut self, delivery: Delivery, reply: Reply<bool>) {
-        let Delivery { ticket, payload, raw, digest, room } = delivery;
-        let Ticket { worker, lease, attempt, range, busy, phase: (index, phase), .. } = ticket;
+        let Delivery { ticket, payload, raw, digest, room, transfer } = delivery;
+        let Ticket { worker, lease, attempt, range, busy, mut fetched, phase: (index, phase), .. } = ticket;
+        fetched.record(collective(phase), Transfer { count: 1, bytes: raw.len() as u64, time: transfer });
         let stored = payload.stored();
         let completed = Event::Completed { worker, lease, attempt, range, busy, stored, digest };
         let commands = self.scheduler.handle(self.now(), completed);
@@ -370,7 +374,7 @@ impl Driver {
             _ => None,
         });
         let result = SavedResult { phase: index, range, busy, payload: raw };
-        let used = accepted.map(|job| (job, self.put_to_use(job, phase, (payload, room.clone()), &result)));
+        let used = accepted.map(|job| (job, self.put_to_use(job, phase, (payload, room.clone()), &result, fetched)));
         self.carry_out(commands);
         match used {
             Some((job, Err(error))) => {
@@ -396,9 +400,11 @@ impl Driver {
         phase: Phase,
         payload: (Payload, Room),
         result: &SavedResult,
+        transfers: Transfers,
     ) -> Result<(), String> {
         let job = self.jobs.get_mut(&id).ok_or("the job is gone")?;
-        let mut part = JobStats { busy: result.busy, result_bytes: result.payload.len() as u64, ..JobStats::default() };
+        let (busy, result_bytes) = (result.busy, result.payload.len() as u64);
+        let mut part = JobStats { busy, result_bytes, transfers, ..JobStats::default() };
         let live = job.live.as_mut().ok_or("the job has ended")?;
         let used = live.put_to_use(payload, phase, &mut part);
         job.add_stats(phase.round(), &part);

@@ -11,6 +11,7 @@ use crate::schedule::job::Done;
 use crate::types::JobId;
 use crate::{assemble, merge};
 use gatherlight_proto::Digest;
+use gatherlight_proto::collective::Collective;
 use gatherlight_proto::message::InputRef;
 use gatherlight_render::job::Phase;
 use tokio::sync::mpsc;
@@ -150,6 +151,17 @@ impl Driver {
     /// business.
     pub(super) fn source(&self, digest: Digest) -> Option<Source> {
         self.jobs.values().filter_map(|j| j.live.as_ref()).find_map(|live| live.source(digest))
+    }
+}
+
+/// By what collective the results of a phase come together.
+pub(super) fn collective(phase: Phase) -> Collective {
+    match phase {
+        Phase::Emission { .. } => Collective::GatherPhotons,
+        Phase::Bootstrap { .. } => Collective::GatherLuminances,
+        Phase::Splat { .. } => Collective::ReduceLight,
+        // A sample map is made of tiles.
+        Phase::SampleMap { .. } | Phase::Gather { .. } => Collective::GatherTiles,
     }
 }
 

@@ -33,6 +33,9 @@ pub fn page(report: &Value) -> String {
     }
     row(&mut out, "peak memory of this process (bytes)", &text(&report["peak_memory_bytes"]));
     out.push_str("</table>\n");
+    if !list(&stats["transfers"]).is_empty() {
+        transfers(&mut out, list(&stats["transfers"]));
+    }
     if !list(&stats["maps"]).is_empty() {
         out.push_str(
             "<h2>Photon maps</h2>\n<table><tr><th>map</th><th>emitted</th><th>stored</th><th>bytes</th></tr>\n",
@@ -55,6 +58,27 @@ pub fn page(report: &Value) -> String {
     }
     out.push_str("</ul>\n</body></html>\n");
     out
+}
+
+fn transfers(out: &mut String, transfers: &[Value]) {
+    out.push_str(
+        "<h2>Collective operations</h2>\n<p>Broadcasts: time that workers waited for their data. The rest: time from the announcement \
+         of a result to its last byte at the coordinator; workers compute meanwhile. Sums over all workers.</p>\n\
+         <table><tr><th>operation</th><th>transfers</th><th>bytes</th><th>time</th><th>time of one</th></tr>\n",
+    );
+    for t in transfers {
+        let mean = t["time_s"].as_f64().unwrap_or(0.0) / t["count"].as_f64().unwrap_or(1.0);
+        let _ = writeln!(
+            out,
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{:.2} ms</td></tr>",
+            escape(&text(&t["collective"])),
+            text(&t["count"]),
+            text(&t["bytes"]),
+            seconds(&t["time_s"]),
+            1e3 * mean
+        );
+    }
+    out.push_str("</table>\n");
 }
 
 /// The beginning of a page, up to and with its title.
@@ -230,7 +254,11 @@ mod tests {
     fn a_page_holds_the_plot_the_plan_and_nothing_of_the_network() {
         let error = |t: f64| json!({ "elapsed_s": t, "busy_s": 2.0 * t, "relative_standard_error": 0.1 / t.sqrt() });
         let report = json!({
-            "summary": { "files": ["a<b>.exr"], "stats": { "rays": 12, "maps": [{ "map": "global", "bytes": 5 }] } },
+            "summary": { "files": ["a<b>.exr"], "stats": {
+                "rays": 12,
+                "maps": [{ "map": "global", "bytes": 5 }],
+                "transfers": [{ "collective": "gather tiles", "count": 4, "bytes": 99, "time_s": 0.5 }],
+            } },
             "text": "one\ntwo",
             "warnings": ["x & y"],
             "timeline": { "error": [error(1.0), error(3.0), error(20.0)], "slope_over_elapsed": -0.5,
@@ -239,9 +267,18 @@ mod tests {
             "peak_memory_bytes": 77,
         });
         let page = page(&report);
-        for wanted in
-            ["a&lt;b&gt;.exr", "<svg", "slope -0.50", "x &amp; y", "1.25 s", "&quot;that&quot;", "77", "global"]
-        {
+        for wanted in [
+            "a&lt;b&gt;.exr",
+            "<svg",
+            "slope -0.50",
+            "x &amp; y",
+            "1.25 s",
+            "&quot;that&quot;",
+            "77",
+            "global",
+            "gather tiles",
+            "125.00 ms",
+        ] {
             assert!(page.contains(wanted), "{wanted} is missing from {page}");
         }
         assert_eq!(page.matches("<svg").count(), 2);

@@ -120,6 +120,7 @@ impl ClusterService {
         mut inbound: Streaming<DeliverRequest>,
         replies: &Replies,
     ) -> Result<bool, Status> {
+        let began = Instant::now();
         let ticket = match self.context.driver.offer(header).await {
             Offered::Wanted(ticket) => *ticket,
             Offered::Repeated(worker) => {
@@ -136,7 +137,7 @@ impl ClusterService {
             return Ok(false);
         }
         let received = match receive(&mut inbound, header.bytes).await {
-            Ok((bytes, digest)) => self.decode(&ticket, bytes, digest, room).await,
+            Ok((bytes, digest)) => self.decode(&ticket, bytes, (digest, began.elapsed()), room).await,
             Err(status) => Err(status),
         };
         match received {
@@ -151,11 +152,17 @@ impl ClusterService {
         }
     }
     /// Decodes a result on the compute threads.
-    async fn decode(&self, ticket: &Ticket, raw: Bytes, digest: Digest, room: Room) -> Result<Delivery, Status> {
+    async fn decode(
+        &self,
+        ticket: &Ticket,
+        raw: Bytes,
+        (digest, transfer): (Digest, Duration),
+        room: Room,
+    ) -> Result<Delivery, Status> {
         let ticket = ticket.clone();
         let decode = move || {
             let payload = result::read(&ticket.shape, ticket.phase.1, ticket.range, &raw)?;
-            Ok::<_, WireError>(Delivery { ticket, payload, raw, digest, room })
+            Ok::<_, WireError>(Delivery { ticket, payload, raw, digest, room, transfer })
         };
         let decoded = self.context.compute.run(decode).await;
         Ok(decoded.map_err(|e| Status::internal(e.to_string()))??)

@@ -1,5 +1,6 @@
 //! What clients see of jobs and workers.
 
+use super::collective::{read_transfers, transfers};
 use super::{map_kind, required};
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
@@ -160,6 +161,7 @@ impl From<&JobStats> for wire::JobStats {
             relative_bias: s.bias.map(|b| b.relative),
             disputes: s.disputes,
             restarts: s.restarts,
+            transfers: transfers(&s.transfers),
         }
     }
 }
@@ -217,6 +219,7 @@ impl TryFrom<wire::JobStats> for JobStats {
             bias: s.bias.map(|absolute| Bias { absolute, relative: s.relative_bias.unwrap_or(f64::INFINITY) }),
             disputes: s.disputes,
             restarts: s.restarts,
+            transfers: read_transfers(&s.transfers)?,
         })
     }
 }

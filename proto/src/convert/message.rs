@@ -1,6 +1,8 @@
 //! Messages between coordinator and workers.
 
+use super::collective::{read_transfers, transfers};
 use super::{map_kind, name, required};
+use crate::collective::Transfers;
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
 use crate::limits::{HEARTBEAT, MAX_ERROR_BYTES, MAX_MAP_BYTES, MAX_RESULT_BYTES, MAX_THREADS};
@@ -215,6 +217,7 @@ impl From<DeliverHeader> for wire::DeliverHeader {
             busy_micros: u64::try_from(h.busy.as_micros()).unwrap_or(u64::MAX),
             bytes: h.bytes,
             digest: h.digest.to_bytes(),
+            fetched: transfers(&h.fetched),
         }
     }
 }
@@ -231,6 +234,16 @@ impl TryFrom<wire::DeliverHeader> for DeliverHeader {
             busy: Duration::from_micros(h.busy_micros),
             bytes: h.bytes,
             digest: Digest::try_from(&h.digest[..])?,
+            fetched: fetched(&h.fetched)?,
         })
+    }
+}
+
+/// Workers receive broadcasts only.
+fn fetched(sent: &[wire::Transfer]) -> Result<Transfers, WireError> {
+    let fetched = read_transfers(sent)?;
+    match fetched.iter().find(|(kind, _)| !kind.is_broadcast()) {
+        None => Ok(fetched),
+        Some((kind, _)) => Err(WireError::invalid("fetched", format!("{} is nothing that workers fetch", kind.name()))),
     }
 }

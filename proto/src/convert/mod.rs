@@ -1,6 +1,7 @@
 //! Wire ↔ domain, and nothing else in the project converts: `From` for domain → wire, `TryFrom` for wire → domain,
 //! which checks everything a peer could get wrong.
 
+mod collective;
 mod job;
 mod message;
 mod relay;

@@ -1,5 +1,6 @@
 //! Every message survives the wire; nothing nonsensical gets through.
 
+use crate::collective::{Collective, Transfer, Transfers};
 use crate::digest::Digest;
 use crate::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, PassRequest, PassTicket, RelayAddress, Route,
@@ -148,8 +149,31 @@ fn messages_between_coordinator_and_worker_survive() {
         busy: Duration::from_micros(6),
         bytes: 7,
         digest: Digest([8; 32]),
+        fetched: transfers(&[Collective::BroadcastScene, Collective::BroadcastMap]),
     };
-    assert_eq!(DeliverHeader::try_from(wire::DeliverHeader::from(header)), Ok(header));
+    let wire = wire::DeliverHeader::from(header);
+    assert_eq!(DeliverHeader::try_from(wire.clone()), Ok(header));
+    let one = |kind: Collective| wire::Transfer { collective: kind as i32 + 1, count: 1, bytes: 2, micros: 3 };
+    let map = one(Collective::BroadcastMap);
+    for bad in [
+        vec![one(Collective::GatherTiles)],
+        vec![map; 2],
+        vec![wire::Transfer { count: 0, ..map }],
+        vec![wire::Transfer { collective: 0, ..map }],
+        vec![wire::Transfer { collective: 9, ..map }],
+        vec![map; 1_000],
+    ] {
+        let header = wire::DeliverHeader { fetched: bad, ..wire.clone() };
+        assert!(DeliverHeader::try_from(header.clone()).is_err(), "{header:?}");
+    }
+}
+
+fn transfers(kinds: &[Collective]) -> Transfers {
+    let mut transfers = Transfers::default();
+    for (i, &kind) in (1u64..).zip(kinds) {
+        transfers.record(kind, Transfer { count: i, bytes: 10 * i, time: Duration::from_micros(100 * i) });
+    }
+    transfers
 }
 
 fn route() -> Route {

@@ -39,7 +39,17 @@ impl SurfacePoint {
     /// added, mapped to the scene (compare pbrt 4th ed., §6.8.5, where single precision needs γ(7) and more). `ng` is
     /// the normal of the corners counter-clockwise in object space, so the front stays the front under a mirroring
     /// transform. Vertex normals that oppose the winding are flipped, those that lean over are brought back.
+    #[inline]
     pub fn from_hit(mesh: &Mesh, instance: &Instance, hit: &Hit) -> SurfacePoint {
+        Self::of_hit::<true>(mesh, instance, hit)
+    }
+    /// The same without tangent, texture coordinates and colour, for scenes where nothing reads them.
+    #[inline]
+    pub fn from_hit_bare(mesh: &Mesh, instance: &Instance, hit: &Hit) -> SurfacePoint {
+        Self::of_hit::<false>(mesh, instance, hit)
+    }
+
+    fn of_hit<const ATTRIBUTES: bool>(mesh: &Mesh, instance: &Instance, hit: &Hit) -> SurfacePoint {
         let indices = mesh.triangles[hit.triangle as usize].map(|v| v as usize);
         let weights = [1.0 - hit.b1 - hit.b2, hit.b1, hit.b2];
         let placement = Placement::new(instance.transform.as_ref());
@@ -50,7 +60,7 @@ impl SurfacePoint {
 
         let vertex_normals = mesh.normals.as_ref().map(|normals| indices.map(|v| normals[v]));
         let (ns, flipped) = vertex_normals.map_or((ng, false), |n| shading_normal(n, weights, &placement, ng));
-        let tangent = mesh.tangents.as_ref().and_then(|tangents| {
+        let tangent = mesh.tangents.as_ref().filter(|_| ATTRIBUTES).and_then(|tangents| {
             let t = indices.map(|v| tangents[v].truncate());
             let direction = (placement.map * interpolate(t, weights).as_dvec3()).try_normalize()?.as_vec3();
             // Mirroring and flipping turn the cross product of normal and tangent around, but not the bitangent.
@@ -58,12 +68,12 @@ impl SurfacePoint {
             Some((direction, sign * tangents[indices[0]].w.signum()))
         });
         let uv = |set: &Option<Vec<Vec2>>| {
-            set.as_ref().map_or(Vec2::ZERO, |uv| {
+            set.as_ref().filter(|_| ATTRIBUTES).map_or(Vec2::ZERO, |uv| {
                 let [a, b, c] = indices.map(|v| uv[v]);
                 a * weights[0] + b * weights[1] + c * weights[2]
             })
         };
-        let color = mesh.colors.as_ref().map_or([1.0; 4], |colors| {
+        let color = mesh.colors.as_ref().filter(|_| ATTRIBUTES).map_or([1.0; 4], |colors| {
             let [a, b, c] = indices.map(|v| colors[v]);
             std::array::from_fn(|i| a[i] * weights[0] + b[i] * weights[1] + c[i] * weights[2])
         });

@@ -4,7 +4,7 @@
 use super::direct::LightDirection;
 use super::vertex::{Merging, Vertex, power};
 use crate::geometry::Ray;
-use crate::material::TransportMode;
+use crate::material::{Scatter, TransportMode};
 use crate::math::{Numbers, Rgb};
 use crate::scene::camera::Projection;
 use crate::scene::{Camera, Scene};

@@ -18,6 +18,7 @@ use crate::photon::estimate::{Gather, irradiance_by};
 use crate::photon::map::PhotonMaps;
 use crate::photon::precomputed;
 use crate::photon::query::NeighbourBuffer;
+use crate::scene::surfaces::Any;
 use crate::scene::{Camera, Scene};
 use crate::settings::RenderSettings;
 use rayon::prelude::*;
@@ -67,7 +68,8 @@ pub fn measure(scene: &Scene, camera: &Camera, settings: &RenderSettings, maps: 
         let pixel = place(i);
         let pass = |number, is_inner, sample| {
             let reading = Half { number, is_inner };
-            let mut pass = PhotonGather { scene, maps, settings: gather, reading, buffer: NeighbourBuffer::new() };
+            let mut pass =
+                PhotonGather { scene, maps, settings: gather, reading, surfaces: Any, buffer: NeighbourBuffer::new() };
             let mut sampler = Sampler::new(settings.seed, Purpose::MapError, sample, pixel, 0);
             let [dx, dy] = sampler.next_2d();
             let [x, y] = [pixel % u64::from(settings.width), pixel / u64::from(settings.width)];

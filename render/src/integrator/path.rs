@@ -5,11 +5,12 @@
 use super::direct::{LightDirection, light_pdf};
 use super::sample::{FirstHit, Part, Sample, Stage};
 use crate::geometry::{Ray, SurfacePoint};
-use crate::material::{Bsdf, Lobes, TransportMode};
+use crate::material::{Lobes, Scatter, TransportMode};
 use crate::math::sobol::Sampler;
 use crate::math::{Rgb, heuristic, roulette};
 use crate::scene::Scene;
 use crate::scene::segment::Interior;
+use crate::scene::surfaces::Surfaces;
 use glam::Vec3;
 
 /// The direction a path came along: what MIS needs to know of the last scattering.
@@ -19,8 +20,8 @@ struct Arrival {
     pdf: f32,
 }
 
-/// Radiance along `camera_ray`. `max_depth`: longest path in edges; `None` is unlimited.
-pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &mut Sampler) -> Sample {
+/// Radiance along `camera_ray`, in a scene that may be called one of `S`. `max_depth`: longest path in edges; `None` is unlimited.
+pub fn trace<S: Surfaces>(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &mut Sampler) -> Sample {
     let mut sample = Sample::default();
     let mut ray = camera_ray;
     let mut throughput = Rgb::WHITE;
@@ -29,7 +30,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
     let mut arrival = Arrival { from: ray.origin, pdf: f32::INFINITY };
     for bounce in 0.. {
         sample.rays += 1;
-        let Some((point, distance)) = scene.intersect_with_distance(&ray) else { break };
+        let Some((point, distance)) = S::intersect(scene, &ray) else { break };
         let wo = -ray.direction;
         throughput *= interior.transmittance_to(scene, &point, wo, distance);
         let emission = scene.emission(&point, wo);
@@ -40,7 +41,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
             };
             sample.add(stage.part(), throughput * emission * weight);
         }
-        let bsdf = scene.bsdf(&point);
+        let bsdf = S::bsdf(scene, &point);
         if bounce == 0 {
             sample.first = Some(first_hit(&point, &bsdf, wo));
         }
@@ -69,7 +70,7 @@ pub fn trace(scene: &Scene, camera_ray: Ray, max_depth: Option<u32>, sampler: &m
 }
 
 /// What the image layers show of the first surface.
-pub(super) fn first_hit(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3) -> FirstHit {
+pub(super) fn first_hit(point: &SurfacePoint, bsdf: &impl Scatter, wo: Vec3) -> FirstHit {
     let n = bsdf.shading_normal();
     FirstHit { position: point.position, normal: if n.dot(wo) < 0.0 { -n } else { n }, albedo: bsdf.albedo(wo) }
 }
@@ -78,7 +79,7 @@ pub(super) fn first_hit(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3) -> FirstHit
 fn add_direct_light(
     scene: &Scene,
     point: &SurfacePoint,
-    bsdf: &Bsdf,
+    bsdf: &impl Scatter,
     wo: Vec3,
     throughput: Rgb,
     stage: Stage,

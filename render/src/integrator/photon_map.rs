@@ -11,7 +11,7 @@ use super::direct::{LightDirection, light_pdf};
 use super::path::first_hit;
 use super::sample::{Part, Sample};
 use crate::geometry::{Ray, SurfacePoint};
-use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
+use crate::material::{BsdfSample, Lobes, Scatter, TransportMode};
 use crate::math::ops::INV_PI;
 use crate::math::sobol::Sampler;
 use crate::math::{Rgb, heuristic, roulette};
@@ -19,6 +19,7 @@ use crate::photon::estimate::{self, Gather};
 use crate::photon::map::{PhotonMap, PhotonMaps};
 use crate::photon::query::NeighbourBuffer;
 use crate::scene::segment::Interior;
+use crate::scene::surfaces::{Any, Surfaces};
 use crate::scene::{Scene, SceneSpace};
 use crate::settings::{Estimator, RenderSettings};
 use glam::Vec3;
@@ -74,7 +75,7 @@ impl Reading for Whole {
 }
 
 /// One gather pass over one scene and its maps.
-pub struct PhotonGather<'a, R = Whole> {
+pub struct PhotonGather<'a, R = Whole, S = Any> {
     /// The scene.
     pub scene: &'a Scene,
     /// The maps; a missing one holds no light.
@@ -83,6 +84,8 @@ pub struct PhotonGather<'a, R = Whole> {
     pub settings: GatherSettings,
     /// What is read of the maps.
     pub reading: R,
+    /// What its surfaces can be.
+    pub surfaces: S,
     /// Memory of the neighbour searches, reused from call to call.
     pub buffer: NeighbourBuffer,
 }
@@ -132,7 +135,7 @@ struct RayTree {
 
 impl RayTree {
     /// The two ways from a Dirac surface met by a path that carries `value`, if both are to be followed.
-    fn split(&mut self, bsdf: &Bsdf, wo: Vec3, value: Rgb) -> Option<[BsdfSample; 2]> {
+    fn split(&mut self, bsdf: &impl Scatter, wo: Vec3, value: Rgb) -> Option<[BsdfSample; 2]> {
         if bsdf.lobes() != Lobes::SPECULAR || self.splits == 0 {
             return None;
         }
@@ -171,7 +174,7 @@ impl CameraPath {
         self.share * self.throughput
     }
     /// Goes on in the direction `s`, whose weight is in the throughput.
-    fn leave(&mut self, scene: &Scene, v: &Vertex<'_>, s: &BsdfSample) {
+    fn leave<B>(&mut self, scene: &Scene, v: &Vertex<'_, B>, s: &BsdfSample) {
         (self.from, self.pdf) = (v.point.position, if s.lobe == Lobes::SPECULAR { f32::INFINITY } else { s.pdf });
         if s.transmitted {
             self.interior = self.interior.crossed(scene, v.point, s.wi);
@@ -180,7 +183,7 @@ impl CameraPath {
         self.bounce += 1;
     }
     /// The branch in the direction `s`.
-    fn branch(&self, scene: &Scene, v: &Vertex<'_>, s: &BsdfSample) -> CameraPath {
+    fn branch<B>(&self, scene: &Scene, v: &Vertex<'_, B>, s: &BsdfSample) -> CameraPath {
         let mut branch = CameraPath { share: self.value() * s.weight, throughput: Rgb::WHITE, ..*self };
         branch.leave(scene, v, s);
         branch
@@ -188,14 +191,14 @@ impl CameraPath {
 }
 
 /// A vertex where light is gathered.
-struct Vertex<'v> {
+struct Vertex<'v, B> {
     point: &'v SurfacePoint,
-    bsdf: &'v Bsdf,
+    bsdf: &'v B,
     wo: Vec3,
     interior: Interior,
 }
 
-impl<R: Reading> PhotonGather<'_, R> {
+impl<R: Reading, S: Surfaces> PhotonGather<'_, R, S> {
     /// Radiance along `camera_ray`.
     pub fn trace(&mut self, camera_ray: Ray, sampler: &mut Sampler) -> Sample {
         let (mut sample, mut tree) = (Sample::default(), RayTree { waiting: Vec::new(), splits: MAX_SPLITS });
@@ -211,7 +214,7 @@ impl<R: Reading> PhotonGather<'_, R> {
         let scene = self.scene;
         loop {
             sample.rays += 1;
-            let Some((point, distance)) = scene.intersect_with_distance(&path.ray) else { return };
+            let Some((point, distance)) = S::intersect(scene, &path.ray) else { return };
             let wo = -path.ray.direction;
             path.throughput *= path.interior.transmittance_to(scene, &point, wo, distance);
             let emission = scene.emission(&point, wo);
@@ -223,7 +226,7 @@ impl<R: Reading> PhotonGather<'_, R> {
                 };
                 sample.add(Part::Direct, path.value() * emission * weight);
             }
-            let bsdf = scene.bsdf(&point);
+            let bsdf = S::bsdf(scene, &point);
             if path.is_camera_ray() {
                 sample.first = Some(first_hit(&point, &bsdf, wo));
             }
@@ -246,7 +249,7 @@ impl<R: Reading> PhotonGather<'_, R> {
     /// Follows a specular or glossy lobe, with roulette; `throughput` is updated.
     fn continue_path(
         &self,
-        bsdf: &Bsdf,
+        bsdf: &S::Bsdf,
         wo: Vec3,
         u: [f32; 3],
         throughput: &mut Rgb,
@@ -274,7 +277,7 @@ impl<R: Reading> PhotonGather<'_, R> {
 
     /// Next-event estimation for the diffuse and the glossy lobe, each with the weight that its own second technique
     /// (final-gather rays, the glossy continuation) leaves it.
-    fn direct_light(&self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
+    fn direct_light(&self, v: &Vertex<'_, S::Bsdf>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
         let Some(light) = LightDirection::sample(self.scene, v.point, sampler) else { return };
         let f = |lobes| v.bsdf.eval(v.wo, light.wi, lobes, TransportMode::Radiance);
         let diffuse = if self.settings.direct_from_map { Rgb::BLACK } else { f(Lobes::DIFFUSE) };
@@ -299,7 +302,7 @@ impl<R: Reading> PhotonGather<'_, R> {
     }
 
     /// Light on the diffuse lobe that does not come straight from a light.
-    fn diffuse_light(&mut self, v: &Vertex<'_>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
+    fn diffuse_light(&mut self, v: &Vertex<'_, S::Bsdf>, throughput: Rgb, sampler: &mut Sampler, sample: &mut Sample) {
         let reflectance = v.bsdf.diffuse_albedo(v.wo);
         if reflectance.is_black() {
             return;
@@ -334,7 +337,7 @@ impl<R: Reading> PhotonGather<'_, R> {
     /// lobes, through specular and glossy ones. Emission behind those is the caustic map's, and is not counted here.
     fn final_gather(
         &mut self,
-        v: &Vertex<'_>,
+        v: &Vertex<'_, S::Bsdf>,
         start: &BsdfSample,
         mut throughput: Rgb,
         sampler: &mut Sampler,
@@ -349,7 +352,7 @@ impl<R: Reading> PhotonGather<'_, R> {
         let mut interior = v.interior;
         for bounce in 0.. {
             sample.rays += 1;
-            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { return };
+            let Some((point, distance)) = S::intersect(scene, &ray) else { return };
             let wo = -ray.direction;
             throughput *= interior.transmittance_to(scene, &point, wo, distance);
             if bounce == 0 {
@@ -361,7 +364,7 @@ impl<R: Reading> PhotonGather<'_, R> {
                 }
             }
             let Some(map) = &maps.global else { return };
-            let bsdf = scene.bsdf(&point);
+            let bsdf = S::bsdf(scene, &point);
             if bsdf.lobes().intersects(Lobes::DIFFUSE) {
                 let e = self.precomputed(map, &point, wo);
                 sample.add(Part::Indirect, throughput * bsdf.diffuse_albedo(wo) * e * INV_PI);

@@ -18,7 +18,7 @@ use super::tile::SampleId;
 use super::vertex::{Merging, Start, Vertex, Walk};
 use crate::film::LightImage;
 use crate::geometry::Ray;
-use crate::material::TransportMode;
+use crate::material::{Scatter, TransportMode};
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Rgb};
 use crate::photon::estimate::for_each_on_surface;

@@ -13,7 +13,7 @@
 use super::direct::light_at;
 use crate::geometry::{Ray, SurfacePoint};
 use crate::light::{EmissionSample, Light};
-use crate::material::{Bsdf, Lobes, TransportMode};
+use crate::material::{Bsdf, Lobes, Scatter, TransportMode};
 use crate::math::{Numbers, Rgb, roulette};
 use crate::scene::segment::Interior;
 use crate::scene::{Camera, Scene};

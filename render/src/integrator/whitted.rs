@@ -14,7 +14,7 @@ use super::path::first_hit;
 use super::sample::{Part, Sample};
 use crate::geometry::{Ray, SurfacePoint};
 use crate::light::Lights;
-use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
+use crate::material::{Bsdf, BsdfSample, Lobes, Scatter, TransportMode};
 use crate::math::sobol::Sampler;
 use crate::math::{Rgb, heuristic, roulette};
 use crate::scene::Scene;

@@ -5,7 +5,7 @@ use super::glass::Glass;
 use super::layered::{Coat, Reflection};
 use super::microfacet::ALPHA_RESOLVED;
 use super::texture::Encoding;
-use super::{Bsdf, Textures};
+use super::{Bsdf, Lambert, Textures};
 use crate::geometry::SurfacePoint;
 use crate::math::Rgb;
 use crate::math::ops::{exp, ln};
@@ -62,9 +62,21 @@ impl Material {
             Some(_) => self.mapped_normal(point, textures),
         };
         if self.pure_lambert {
-            return Bsdf::lambert(point.ng, ns, self.base_color(point, textures));
+            return Lambert::new(point.ng, ns, self.base_color(point, textures)).into();
         }
         self.layered(point.ng, ns, &self.inputs(point, textures))
+    }
+
+    /// Base colour of a material without textures where vertices have no colour.
+    #[inline]
+    pub fn plain_color(&self) -> Rgb {
+        self.d.base_color.clamp01()
+    }
+    /// A bare Lambertian surface of one colour, without normal map, whose emission is the same everywhere.
+    pub fn is_plain(&self) -> bool {
+        let d = &self.d;
+        let is_mapped = [d.base_color_texture, d.normal_texture, d.emissive_texture].iter().any(Option::is_some);
+        self.pure_lambert && !is_mapped
     }
 
     /// Base colour with texture and vertex colour.
@@ -126,9 +138,9 @@ impl Material {
             alpha: Glass::effective_alpha(alpha, self.d.ior, thin),
         });
         if reflection.is_none() && glass.is_none() {
-            return Bsdf::lambert(ng, ns, diffuse);
+            return Lambert::new(ng, ns, diffuse).into();
         }
-        Bsdf::layered(ng, ns, diffuse, Layers { coat, reflection, glass })
+        Bsdf::layered(Lambert::new(ng, ns, diffuse), Layers { coat, reflection, glass })
     }
 
     /// Shading normal from the normal map, kept in the hemisphere of the geometric normal.

@@ -9,7 +9,7 @@
 //!   the probability of choosing it), and the pdf of all non-Dirac lobes of that set, so that MIS can be applied.
 //! - cosines are taken with the shading normal; whether a direction reflects or transmits is decided by the geometric
 //!   normal. Photons and light paths carry the adjoint correction of Veach 1997 §5.3
-//!   ([`Bsdf::importance_correction`]).
+//!   ([`Scatter::importance_correction`]).
 //! - radiance is scaled by η² at refraction in `Radiance` mode and not in `Importance` mode.
 
 pub mod albedo;
@@ -17,14 +17,18 @@ pub mod bsdf;
 pub mod compiled;
 pub mod fresnel;
 pub mod glass;
+pub mod lambert;
 pub mod layered;
 pub mod lobes;
 pub mod microfacet;
+pub mod scatter;
 pub mod texture;
 
-pub use bsdf::{Bsdf, BsdfSample};
+pub use bsdf::Bsdf;
 pub use compiled::Material;
+pub use lambert::Lambert;
 pub use lobes::Lobes;
+pub use scatter::{BsdfSample, Scatter};
 pub use texture::Textures;
 
 /// Which quantity travels along the sampled path.

@@ -8,9 +8,10 @@ use super::pack::{encode_normal, encode_rgbe};
 use super::{EmissionRange, MapKind, PhotonBatch};
 use crate::geometry::{Ray, SurfacePoint};
 use crate::light::EmissionSample;
-use crate::material::{Bsdf, BsdfSample, Lobes, TransportMode};
+use crate::material::{BsdfSample, Lobes, Scatter, TransportMode};
 use crate::math::sobol::Sampler;
 use crate::math::{Purpose, Rgb, roulette};
+use crate::scene::surfaces::{Any, Bare, Surfaces};
 use crate::scene::{Scene, segment::Interior};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -79,10 +80,15 @@ impl Emission<'_> {
             Some(aim) => aim.sample(self.scene, &mut sampler),
             None => emit_by_power(self.scene, &mut sampler),
         };
-        emitted.map_or(0, |start| self.follow(start, &mut sampler, sink))
+        let Some(start) = emitted else { return 0 };
+        if self.scene.is_bare {
+            self.follow::<Bare>(start, &mut sampler, sink)
+        } else {
+            self.follow::<Any>(start, &mut sampler, sink)
+        }
     }
 
-    fn follow(&self, start: EmissionSample, sampler: &mut Sampler, sink: &mut impl FnMut(&Photon)) -> u64 {
+    fn follow<S: Surfaces>(&self, start: EmissionSample, sampler: &mut Sampler, sink: &mut impl FnMut(&Photon)) -> u64 {
         let scene = self.scene;
         let mut ray = Ray::new(start.origin, start.direction);
         let mut power = start.power;
@@ -96,10 +102,10 @@ impl Emission<'_> {
             if power.is_black() {
                 break;
             }
-            let Some((point, distance)) = scene.intersect_with_distance(&ray) else { break };
+            let Some((point, distance)) = S::intersect(scene, &ray) else { break };
             let wo = -ray.direction;
             power *= interior.transmittance_to(scene, &point, wo, distance);
-            let bsdf = scene.bsdf(&point);
+            let bsdf = S::bsdf(scene, &point);
             let diffuse = bsdf.lobes().intersects(Lobes::DIFFUSE);
             let stored = match self.storage {
                 Storage::All => true,
@@ -143,7 +149,7 @@ fn emit_by_power(scene: &Scene, sampler: &mut Sampler) -> Option<EmissionSample>
 }
 
 /// The photon that `power` arriving from `wo` leaves at `point`; its power may not be finite.
-fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<Photon> {
+fn arriving(point: &SurfacePoint, bsdf: &impl Scatter, wo: Vec3, power: Rgb) -> Option<Photon> {
     let cos_geometric = wo.dot(point.ng);
     if cos_geometric == 0.0 {
         return None;
@@ -160,9 +166,15 @@ fn arriving(point: &SurfacePoint, bsdf: &Bsdf, wo: Vec3, power: Rgb) -> Option<P
 
 /// Russian roulette between diffuse reflection, other scattering and absorption (Jensen 2001, §5.2). Returns the sample
 /// within the chosen lobe set and the probability of that choice, so that the caller divides by it.
-fn scatter(bsdf: &Bsdf, wo: Vec3, lobes: Lobes, bounce: u32, sampler: &mut Sampler) -> Option<(BsdfSample, f32)> {
+fn scatter(
+    bsdf: &impl Scatter,
+    wo: Vec3,
+    lobes: Lobes,
+    bounce: u32,
+    sampler: &mut Sampler,
+) -> Option<(BsdfSample, f32)> {
     let (mut u_choice, u) = (sampler.next_1d(), sampler.next_3d());
-    let (mut d, s) = bsdf.roulette_albedos(wo, TransportMode::Importance);
+    let (mut d, s) = bsdf.roulette_albedos(wo);
     if !lobes.intersects(Lobes::DIFFUSE) {
         d = Rgb::BLACK;
     }

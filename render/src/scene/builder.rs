@@ -35,7 +35,7 @@ pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
     let has_alpha_masks =
         instances.iter().any(|i| materials[meshes[i.mesh as usize].material as usize].has_alpha_mask());
     let has_absorption = materials.iter().any(|m| m.absorption().is_some());
-    Ok(Scene {
+    let mut scene = Scene {
         accelerator,
         meshes,
         instances,
@@ -45,8 +45,11 @@ pub fn build(mut description: SceneDescription) -> Result<Scene, SceneError> {
         space,
         has_alpha_masks,
         has_absorption,
+        is_bare: false,
         warnings: description.warnings,
-    })
+    };
+    scene.is_bare = scene.has_bare_surfaces();
+    Ok(scene)
 }
 
 /// The camera that `choice` names, for an image of `width` × `height`; a framing one where the file has none.

@@ -6,6 +6,7 @@ pub mod description;
 pub mod digest;
 pub mod normalise;
 pub mod segment;
+pub mod surfaces;
 
 pub use camera::Camera;
 pub use digest::SceneDigest;
@@ -38,6 +39,8 @@ pub struct Scene {
     pub has_alpha_masks: bool,
     /// Whether any body absorbs light, so that path segments must be told apart by the body they run through.
     pub has_absorption: bool,
+    /// Whether all surfaces are [bare](surfaces::Bare).
+    pub is_bare: bool,
     /// What was read but is not shown as the file asks.
     pub warnings: Vec<String>,
 }

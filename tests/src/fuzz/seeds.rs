@@ -6,6 +6,7 @@ use bytes::Bytes;
 use gatherlight::types::{JobId, JobProgress, JobState, JobStats, Limits};
 use gatherlight_proto::Digest;
 use gatherlight_proto::chunk::{chunk, chunks};
+use gatherlight_proto::collective::{Collective, Transfer, Transfers};
 use gatherlight_proto::message::{
     BlobRef, DeliverHeader, FromWorker, Hello, Lease, LeaseId, MapRef, PassRequest, PassTicket, RelayAddress, Route,
     SceneManifest, SessionKey, Task, ToWorker, WorkerId,
@@ -100,7 +101,9 @@ fn messages() -> Vec<Vec<u8>> {
     let from = from.map(|m| of(0, wire::WorkerMessage::from(m).encode_to_vec()));
     let to = to.map(|m| of(1, wire::CoordinatorMessage::from(m).encode_to_vec()));
     let (digest, bytes) = (blob.digest, blob.bytes);
-    let header = DeliverHeader { session, lease: LeaseId(3), attempt: 2, range: RANGE, busy, bytes, digest };
+    let mut fetched = Transfers::default();
+    fetched.record(Collective::BroadcastMap, Transfer { count: 1, bytes, time: busy });
+    let header = DeliverHeader { session, lease: LeaseId(3), attempt: 2, range: RANGE, busy, bytes, digest, fetched };
     let progress = JobProgress {
         id: JobId(4),
         name: "n".into(),

@@ -148,6 +148,7 @@ async fn fetches_and_deliveries_without_a_session_get_nothing() {
         busy_micros: 6,
         bytes: 4,
         digest,
+        fetched: Vec::new(),
     };
     let request = |header| DeliverRequest { kind: Some(Kind::Header(header)) };
     let pieces: Vec<_> =

@@ -5,6 +5,7 @@ use gatherlight::embedded;
 use gatherlight::schedule::Policy;
 use gatherlight::server::ServeConfig;
 use gatherlight::types::{JobId, JobState, Limits};
+use gatherlight_proto::collective::{Collective, Transfer};
 use gatherlight_proto::version::Versions;
 use gatherlight_render::import::SceneBundle;
 use gatherlight_render::job::{Phase, PreparedJob};
@@ -218,6 +219,29 @@ async fn every_method_gives_the_image_that_one_process_gives() {
         let read = maps + bootstrap;
         assert!((read.min(1)..=2 * read).contains(&stats.broadcast_bytes), "{name}: {read} in {stats:?}");
         assert_eq!(maps > 0, phases.iter().any(|p| matches!(p, Phase::Emission { .. })), "{name}");
+        for (read, kind) in [
+            (maps, Collective::BroadcastMap),
+            (bootstrap, Collective::BroadcastBootstrap),
+            (0, Collective::BroadcastSampleMap),
+        ] {
+            assert!(
+                (read.min(1)..=2 * read).contains(&stats.transfers.of(kind).bytes),
+                "{name}: {kind:?} in {stats:?}"
+            );
+        }
+        // What comes together is what was received, kind by kind of the phases that the job has.
+        let sent = stats.transfers.iter().filter(|(kind, _)| !kind.is_broadcast());
+        assert_eq!(sent.map(|(_, t)| t.bytes).sum::<u64>(), stats.result_bytes, "{name}");
+        for (kind, has) in [
+            (Collective::BroadcastScene, true),
+            (Collective::GatherPhotons, maps > 0),
+            (Collective::GatherLuminances, bootstrap > 0),
+            (Collective::GatherTiles, phases.iter().any(|p| matches!(p, Phase::Gather { .. }))),
+            (Collective::ReduceLight, phases.iter().any(|p| matches!(p, Phase::Splat { .. }))),
+        ] {
+            let Transfer { count, bytes, time } = stats.transfers.of(kind);
+            assert_eq!([count > 0, bytes > 0, time > Duration::ZERO], [has; 3], "{name}: {kind:?}");
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use crate::session::{Action, Announced, Input, Session};
 use crate::{emission, gather};
 use bytes::Bytes;
 use gatherlight_proto::Digest;
+use gatherlight_proto::collective::Transfers;
 use gatherlight_proto::connect::{Stamp, reason};
 use gatherlight_proto::message::{DeliverHeader, FromWorker, Hello, Lease, RelayAddress, SessionKey, Task, ToWorker};
 use gatherlight_render::job::Inputs;
@@ -243,11 +244,11 @@ struct Tools {
 /// One lease, from beginning to receipt.
 async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<Input>) {
     let id = lease.id;
-    let (payload, busy) = match compute(&tools, &lease, &job).await {
-        Ok((payload, busy)) => {
+    let (payload, busy, fetched) = match compute(&tools, &lease, &job).await {
+        Ok((payload, busy, fetched)) => {
             let slowness = tools.faults.slowness(&lease);
             tokio::time::sleep(slowness).await;
-            (payload, busy + slowness)
+            (payload, busy + slowness, fetched)
         }
         Err(error) => {
             tracing::warn!(lease = id.0, %error, "task failed");
@@ -262,7 +263,7 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
     drop(inputs.send(Input::Computed(id)).await);
     let (bytes, digest) = (payload.len() as u64, Digest::of(&payload));
     let (session, attempt, range) = (SessionKey([0; 16]), lease.attempt, lease.range);
-    let header = DeliverHeader { session, lease: id, attempt, range, busy, bytes, digest };
+    let header = DeliverHeader { session, lease: id, attempt, range, busy, bytes, digest, fetched };
     let input = match deliver(&tools, header, payload).await {
         Ok(accepted) => {
             tracing::debug!(lease = id.0, accepted, "delivered");
@@ -279,7 +280,8 @@ async fn task(tools: Tools, lease: Lease, job: Announced, inputs: mpsc::Sender<I
     drop(inputs.send(input).await);
 }
 
-async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes, Duration), TaskError> {
+/// A lease's result, the time it was computed for, and what was fetched for it.
+async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes, Duration, Transfers), TaskError> {
     let Tools { remote, executor, cache, faults, .. } = tools;
     if faults.delay > Duration::ZERO {
         tokio::time::sleep(faults.delay).await;
@@ -291,23 +293,26 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
     let mut held = cache.lock().await;
     let prepared = held.prepared(lease.job, job, remote, executor).await?;
     let range = lease.range;
-    match &lease.task {
+    let (fetched, computed) = match &lease.task {
         &Task::Emission { round, map } => {
+            let fetched = held.take_fetched();
             drop(held);
-            executor.run(move || emission::compute(&prepared, round, map, range)).await
+            (fetched, executor.run(move || emission::compute(&prepared, round, map, range)).await?)
         }
         Task::Bootstrap => {
+            let fetched = held.take_fetched();
             drop(held);
-            executor.run(move || emission::compute_bootstrap(&prepared, range)).await
+            (fetched, executor.run(move || emission::compute_bootstrap(&prepared, range)).await?)
         }
         &Task::Splat { round, bootstrap } => {
             let bootstrap = match bootstrap {
                 Some(wanted) => Some(held.bootstrap(lease.job, wanted, &prepared, remote, executor).await?),
                 None => None,
             };
+            let fetched = held.take_fetched();
             drop(held);
             let inputs = Inputs { bootstrap, ..Inputs::default() };
-            executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await?
+            (fetched, executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await??)
         }
         Task::Gather { round, maps: wanted, sample_map } => {
             let maps = held.maps(lease.job, wanted, remote, executor).await?;
@@ -315,11 +320,14 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
                 Some(wanted) => Some(held.sample_map(lease.job, wanted, &prepared, remote).await?),
                 None => None,
             };
+            let fetched = held.take_fetched();
             drop(held);
             let (inputs, round) = (Inputs { maps, sample_map, bootstrap: None }, *round);
-            executor.run(move || gather::compute(&prepared, &inputs, round, range)).await
+            (fetched, executor.run(move || gather::compute(&prepared, &inputs, round, range)).await?)
         }
-    }
+    };
+    let (payload, busy) = computed;
+    Ok((payload, busy, fetched))
 }
 
 async fn deliver(tools: &Tools, header: DeliverHeader, payload: Bytes) -> Result<bool, TaskError> {
