@@ -16,7 +16,7 @@ pub const AUTHORIZATION_KEY: &str = "authorization";
 /// message does not show.
 pub const CHUNK_BYTES: usize = 2 << 20;
 /// Smallest piece of a broadcast: what arrives is passed on after so many bytes, and each costs a message.
-pub const MIN_PIECE_BYTES: u64 = 256 << 10;
+pub const MIN_PIECE_BYTES: u64 = 64 << 10;
 /// Most pieces of a payload, whose list of 32 bytes each has to fit into one message; larger payloads have larger pieces.
 pub const MAX_PIECES: u64 = 1 << 15;
 /// Most workers to ask for a stripe before the coordinator.

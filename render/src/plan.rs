@@ -430,6 +430,14 @@ fn plan_gather(scene: &Scene, settings: &RenderSettings, has_global: bool, entri
     };
     let evidence = materials(scene, "have holes", Material::has_alpha_mask);
     entries.add("alpha mask tests", masks, why).saves_work("a test at every hit").because([evidence]);
+    let why = match scene.is_bare {
+        true => "every surface is a bare Lambertian one of one colour",
+        false if settings.keep_all => "--keep-all",
+        false => "some surfaces have them",
+    };
+    let evidence = materials(scene, "are more than Lambertian, or textured", |m| !m.is_plain());
+    let layers = entries.add("code for glass, layers, textures and normal maps", !scene.is_bare, why);
+    layers.saves_work("a fourteenth of a path's instructions").because([evidence]);
     let absorbs = |m: &Material| m.absorption().is_some();
     let bodies = scene.materials.iter().any(absorbs);
     let why = if bodies { "some bodies absorb light" } else { "no body absorbs light" };

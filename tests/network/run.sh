@@ -3,7 +3,8 @@
 #
 #   tests/network/run.sh [--full] DIRECTORY     DIRECTORY holds gatherlight and gatherlight-worker
 #
-# Needs root, ip and tc. Measured is the time from the map being built to the last worker having it, over the bound
+# Needs root, ip and tc. Connections are controlled by CUBIC, as Linux does unless told otherwise; CONGESTION=bbr for another.
+# Measured is the time from the map being built to the last worker having it, over the bound
 # max(latency ⌈log₂ p⌉, bytes / bandwidth), which on these links is bytes / bandwidth; and what the coordinator's link sent,
 # in copies of the map. The short form fails where the coordinator sends more copies than the limit below, and only tells the time; the full form prints the table of docs/scale.md.
 set -euo pipefail
@@ -14,6 +15,7 @@ cd "$(dirname "$0")/../.."
 
 WORKERS=8
 MBIT=100
+CONGESTION=${CONGESTION:-cubic}
 NET=10.77.0
 MOST_COPIES=1.5 # of the map, on the coordinator's link
 
@@ -45,12 +47,16 @@ plug() {
     inside switch ip link set "port$1" master bridge up
     inside "$1" ip addr add "$2/24" dev eth0
     inside "$1" ip link set lo up
+    inside "$1" sysctl --quiet --write net.ipv4.tcp_congestion_control="$CONGESTION" ||
+        say "connections are controlled by $(inside "$1" sysctl --values net.ipv4.tcp_congestion_control), not $CONGESTION"
     inside "$1" ip link set eth0 up
     shape eth0 "$1"
     shape "port$1" switch
 }
 
 build_network() {
+    local allowed=net.ipv4.tcp_allowed_congestion_control
+    sysctl --quiet --write $allowed="$(sysctl --values $allowed) $CONGESTION" 2>/dev/null || true
     ip netns add gl-switch
     inside switch ip link add bridge type bridge
     inside switch ip link set bridge up

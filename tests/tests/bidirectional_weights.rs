@@ -6,7 +6,7 @@ use gatherlight_render::integrator::connect::{Connector, Contribution};
 use gatherlight_render::integrator::direct::LightDirection;
 use gatherlight_render::integrator::vertex::{Merging, Origin, Start, Vertex, Walk};
 use gatherlight_render::light::Light;
-use gatherlight_render::material::{Lobes, TransportMode};
+use gatherlight_render::material::{Lobes, Scatter, TransportMode};
 use gatherlight_render::math::Purpose;
 use gatherlight_render::math::sobol::Sampler;
 use gatherlight_render::scene::{Camera, Scene, builder};

@@ -226,7 +226,7 @@ fn roulette_albedos_match_the_samples() {
         for cos in [1.0, 0.5, 0.15, -0.6] {
             let wo = towards(cos);
             let (mean, error) = mean_weight(&b, wo, Importance, 100_000);
-            let (diffuse, rest) = b.roulette_albedos(wo, Importance);
+            let (diffuse, rest) = b.roulette_albedos(wo);
             let albedo = f64::from(diffuse.r + rest.r);
             assert!((mean - albedo).abs() < SIGMAS * error + 2e-3, "{d:?} cos {cos}: {mean} ± {error}, {albedo}");
         }

@@ -94,6 +94,14 @@ fn the_plan_says_what_is_left_out_and_what_that_saves() {
         assert!(!entry.evidence.is_empty() || !saves.work.is_empty(), "{entry:?}");
         assert!(saves.wire_bytes > 0 || saves.memory_bytes > 0 || saves.work.contains("1000"), "{name}: {entry:?}");
     }
+    // What is compiled for bare surfaces alone is asked of no others.
+    for scene in &scenes {
+        let job = prepare(&scene.bundle, &tiny(Method::Path));
+        let is_bare = ["diffuse only", "interior", "cameras and animations"].contains(&scene.name);
+        assert_eq!(job.scene().is_bare, is_bare, "{}", scene.name);
+        let all = RenderSettings { keep_all: true, ..tiny(Method::Path) };
+        assert!(!prepare(&scene.bundle, &all).scene().is_bare);
+    }
     // Ninety-nine pictures of 24 × 24 texels.
     let hundred = scenes.iter().find(|s| s.name == "one of a hundred").expect("the scene");
     let job = prepare(&hundred.bundle, &tiny(Method::Path));

@@ -18,7 +18,8 @@ struct Broadcast {
     ticket: PassTicket,
     /// Workers that relay and were there when it was announced, in the order of the plan.
     members: Vec<(WorkerId, SocketAddr)>,
-    latecomers: usize,
+    /// Halves that each of them passes on.
+    halves: Vec<u32>,
 }
 
 impl Broadcast {
@@ -46,13 +47,14 @@ impl Broadcasts {
         ticket: PassTicket,
         members: Vec<(WorkerId, SocketAddr)>,
     ) -> Vec<(WorkerId, Route)> {
-        let broadcast = Broadcast { blob, ticket, members, latecomers: 0 };
+        let halves = plan::halves(members.len());
+        let broadcast = Broadcast { blob, ticket, members, halves };
         let routes = broadcast.members.iter().enumerate().map(|(place, m)| (m.0, broadcast.to_member(place))).collect();
         self.by_digest.insert(blob.digest, broadcast);
         routes
     }
-    /// The way to `worker`, where the payload was announced. A member's is what it was told; a latecomer that `relays` shares
-    /// a member that is still `there`; any other worker asks the coordinator.
+    /// The way to `worker`, where the payload was announced. A member's is what it was told; a latecomer that `relays` asks
+    /// for each half a member that is still `there` and passes on least; any other worker asks the coordinator.
     pub fn route(
         &mut self,
         digest: Digest,
@@ -64,13 +66,13 @@ impl Broadcasts {
         if let Some(place) = broadcast.members.iter().position(|m| m.0 == worker) {
             return Some(broadcast.to_member(place));
         }
-        let hosts: Vec<SocketAddr> = broadcast.members.iter().filter(|m| there(m.0)).map(|m| m.1).collect();
-        if !relays || hosts.is_empty() {
+        if !relays {
             return Some(broadcast.route(Default::default()));
         }
-        let host = hosts[plan::host(broadcast.latecomers, hosts.len())];
-        broadcast.latecomers += 1;
-        Some(broadcast.route(std::array::from_fn(|_| vec![host])))
+        let Broadcast { members, halves, .. } = &mut *broadcast;
+        let mut host = || plan::host(halves, |p| there(members[p].0)).map(|p| members[p].1).into_iter().collect();
+        let sources = std::array::from_fn(|_| host());
+        Some(broadcast.route(sources))
     }
     /// Whether the payload was announced.
     pub fn is_announced(&self, digest: Digest) -> bool {
@@ -117,8 +119,9 @@ mod tests {
                 broadcasts.route(BLOB.digest, WorkerId(worker), relays, |w| w.0 < there).expect("was announced");
             route.sources
         };
-        let only = |i: usize| [vec![members(3)[i].1], vec![members(3)[i].1]];
-        assert_eq!([sources(7, true, 2), sources(8, true, 2), sources(9, true, 2)], [only(0), only(1), only(0)]);
+        let both = |i: usize, j: usize| [vec![members(3)[i].1], vec![members(3)[j].1]];
+        // Of three, the first and the last pass on two halves each.
+        assert_eq!([sources(7, true, 2), sources(8, true, 2), sources(9, true, 2)], [both(1, 1), both(0, 1), both(0, 1)]);
         assert_eq!(sources(9, true, 0), [vec![], vec![]]);
         assert_eq!(sources(9, false, 3), [vec![], vec![]]);
         assert_eq!(broadcasts.route(Digest([9; 32]), WorkerId(1), true, |_| true), None);

@@ -25,9 +25,20 @@ pub fn sources(stripe: usize, place: usize, count: usize) -> impl Iterator<Item 
     std::iter::successors(parent(stripe, place, count), above).take(MAX_SOURCES)
 }
 
-/// The worker that latecomer `number` (from 0) asks for everything, of `count` ≥ 1 that were there: each in turn.
-pub fn host(number: usize, count: usize) -> usize {
-    number % count
+/// Halves of the payload that each of `count` workers passes on.
+pub fn halves(count: usize) -> Vec<u32> {
+    let mut halves = vec![0; count];
+    for parent in (0..STRIPES).flat_map(|s| (0..count).filter_map(move |p| parent(s, p, count))) {
+        halves[parent] += 1;
+    }
+    halves
+}
+
+/// The worker that a latecomer asks for one half: of those that are `there` the one that passes on least, which now passes on more.
+pub fn host(halves: &mut [u32], there: impl Fn(usize) -> bool) -> Option<usize> {
+    let host = (0..halves.len()).filter(|&p| there(p)).min_by_key(|&p| halves[p])?;
+    halves[host] += 1;
+    Some(host)
 }
 
 #[cfg(test)]
@@ -55,16 +66,10 @@ mod tests {
     #[test]
     fn the_coordinator_sends_one_copy_and_nobody_sends_more_than_it_gets() {
         for count in COUNTS {
-            let mut halves = vec![0; count];
-            let mut of_coordinator = 0;
-            for (stripe, place) in (0..STRIPES).flat_map(|s| (0..count).map(move |p| (s, p))) {
-                match parent(stripe, place, count) {
-                    Some(p) => halves[p] += 1,
-                    None => of_coordinator += 1,
-                }
-            }
+            let halves = halves(count);
+            let of_coordinator = STRIPES * count - halves.iter().sum::<u32>() as usize;
             assert_eq!(of_coordinator, STRIPES, "{count} workers");
-            assert!(halves.iter().all(|&h| h <= STRIPES), "{count} workers: {halves:?}");
+            assert!(halves.iter().all(|&h| h as usize <= STRIPES), "{count} workers: {halves:?}");
         }
     }
 
@@ -90,8 +95,13 @@ mod tests {
 
     #[test]
     fn latecomers_are_spread_over_those_who_were_there() {
-        let mut guests = [0; 7];
-        (0..70).for_each(|n| guests[host(n, 7)] += 1);
-        assert_eq!(guests, [10; 7]);
+        let mut halves = halves(8);
+        halves.sort_unstable();
+        assert_eq!(halves, [1, 1, 2, 2, 2, 2, 2, 2], "one copy is the coordinator's");
+        // Who passes on little gets guests first; who is gone gets none.
+        let mut hosts: Vec<_> = (0..8).map(|_| host(&mut halves, |p| p != 7).expect("somebody is there")).collect();
+        hosts.sort_unstable();
+        assert_eq!((hosts, &halves[..]), (vec![0, 0, 1, 1, 2, 3, 4, 5], &[3, 3, 3, 3, 3, 3, 2, 2][..]));
+        assert_eq!(host(&mut halves, |_| false), None);
     }
 }

@@ -33,8 +33,9 @@ pub struct Worker {
     pub last_heard: Duration,
     /// Leases it holds.
     pub leases: BTreeSet<LeaseId>,
-    /// Leases it had whose twins were faster, and of which it has not been heard since: it gets no others before.
-    pub behind: BTreeSet<LeaseId>,
+    /// Leases it had whose twins were faster, and of which it has not been heard since: it gets no others before. With each the time
+    /// until which it may be as fast as half of the twin.
+    pub behind: BTreeMap<LeaseId, Duration>,
     /// Jobs it knows.
     pub prepared: BTreeSet<JobId>,
     /// Units per second, by kind of phase.
@@ -56,7 +57,7 @@ impl Worker {
             joined: now,
             last_heard: now,
             leases: BTreeSet::new(),
-            behind: BTreeSet::new(),
+            behind: BTreeMap::new(),
             prepared: BTreeSet::new(),
             rates: BTreeMap::new(),
             failed: BTreeMap::new(),
@@ -68,9 +69,10 @@ impl Worker {
     pub fn is_ready(&self) -> bool {
         !self.draining && self.behind.is_empty()
     }
-    /// Whether it has kept up: it is outrun by nobody, and was heard within `quiet`. Others may then wait for what it passes on.
+    /// Whether it keeps up: it was heard within `quiet`, and not outrun by somebody twice as fast. Others may then wait for what it passes on.
     pub fn is_prompt(&self, now: Duration, quiet: Duration) -> bool {
-        self.behind.is_empty() && now.saturating_sub(self.last_heard) <= quiet
+        let is_slow = self.behind.values().any(|&until| now > until);
+        !is_slow && now.saturating_sub(self.last_heard) <= quiet
     }
     /// Units per second of a phase, where it was measured.
     pub fn rate(&self, phase: PhaseKey) -> Option<f64> {
@@ -248,7 +250,7 @@ mod tests {
                 2 => drop(workers.change(id, |w| w.draining = step % 2 == 0)),
                 3 => drop(workers.change(id, |w| w.leases.insert(lease))),
                 4 => drop(workers.change(id, |w| w.leases.pop_last())),
-                5 => drop(workers.change(id, |w| w.behind.insert(lease))),
+                5 => drop(workers.change(id, |w| w.behind.insert(lease, Duration::ZERO))),
                 6 => drop(workers.change(id, |w| w.behind.clear())),
                 _ => drop(workers.change(id, |w| w.measured(phase, step, Duration::from_millis(step % 700)))),
             }
@@ -268,8 +270,9 @@ mod tests {
         let is_prompt = |w: &Worker, now| w.is_prompt(now, at(3));
         assert!(is_prompt(&w, at(13)) && !is_prompt(&w, at(14)));
         w.last_heard = at(14);
-        w.behind.insert(LeaseId(7));
-        assert!(!is_prompt(&w, at(14)), "its twin was faster");
+        w.behind.insert(LeaseId(7), at(15));
+        assert!(is_prompt(&w, at(15)), "its twin was faster, but not by much");
+        assert!(!is_prompt(&w, at(16)), "its twin was twice as fast");
         w.behind.clear();
         // Who leaves passes on what it has until it is gone.
         w.draining = true;
