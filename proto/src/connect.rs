@@ -1,7 +1,7 @@
 //! How both workers and clients connect.
 
 use crate::credentials::Credentials;
-use crate::limits::{AUTHORIZATION_KEY, CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use crate::limits::{AUTHORIZATION_KEY, BROADCAST_WINDOW_BYTES, CONNECTION_WINDOW_BYTES};
 use crate::version::Versions;
 use std::time::Duration;
 use tonic::metadata::{Ascii, MetadataValue};
@@ -48,7 +48,7 @@ pub fn endpoint(url: &str, credentials: &Credentials) -> Result<Endpoint, String
 pub fn tuned(endpoint: Endpoint) -> Endpoint {
     endpoint
         .connect_timeout(CONNECT_TIMEOUT)
-        .initial_stream_window_size(STREAM_WINDOW_BYTES)
+        .initial_stream_window_size(BROADCAST_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .http2_keep_alive_interval(KEEPALIVE)
         .keep_alive_timeout(KEEPALIVE)

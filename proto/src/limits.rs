@@ -49,8 +49,11 @@ pub const MAX_ERROR_BYTES: usize = 4_096;
 pub const MAX_PRIORITY: i32 = 100;
 /// Most threads a worker may claim.
 pub const MAX_THREADS: u32 = 4_096;
-/// Window of one HTTP/2 stream: 4 MiB keeps 1 Gbit/s busy at 30 ms.
+/// Window of one HTTP/2 stream to a server: 4 MiB keeps 1 Gbit/s busy at 30 ms.
 pub const STREAM_WINDOW_BYTES: u32 = 4 << 20;
+/// Window of one HTTP/2 stream from a server, which bounds by how much the streams of a broadcast that share a link can drift apart: its two
+/// streams to a worker keep 1 Gbit/s busy at 16 ms.
+pub const BROADCAST_WINDOW_BYTES: u32 = 1 << 20;
 /// Window of one HTTP/2 connection.
 pub const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 /// Time between two heartbeats of a worker.

@@ -121,7 +121,10 @@ mod tests {
         };
         let both = |i: usize, j: usize| [vec![members(3)[i].1], vec![members(3)[j].1]];
         // Of three, the first and the last pass on two halves each.
-        assert_eq!([sources(7, true, 2), sources(8, true, 2), sources(9, true, 2)], [both(1, 1), both(0, 1), both(0, 1)]);
+        assert_eq!(
+            [sources(7, true, 2), sources(8, true, 2), sources(9, true, 2)],
+            [both(1, 1), both(0, 1), both(0, 1)]
+        );
         assert_eq!(sources(9, true, 0), [vec![], vec![]]);
         assert_eq!(sources(9, false, 3), [vec![], vec![]]);
         assert_eq!(broadcasts.route(Digest([9; 32]), WorkerId(1), true, |_| true), None);

@@ -2,12 +2,15 @@
 //!
 //! - `connection`: how many there are, and how long one may stay that proves nothing or does nothing;
 //! - `refusals`: calls that were refused, counted by reason;
-//! - `rate`: how often something may happen.
+//! - `rate`: how often something may happen;
+//! - `abreast`: streams of one payload, kept so.
 
+mod abreast;
 mod connection;
 mod rate;
 mod refusals;
 
+pub use abreast::{Abreast, Place};
 pub use connection::{Call, Connection, ConnectionLimits, Incoming, Peer};
 pub use rate::Rate;
 pub use refusals::CountRefusals;

@@ -111,6 +111,7 @@ async fn send(
     _held: (OwnedSemaphorePermit, Option<Call>),
 ) {
     let mut changes = transfer.changes();
+    let mut place = transfer.join(first);
     let mut rest = None;
     loop {
         let next = match (&mut rest, transfer.list()) {
@@ -122,6 +123,7 @@ async fn send(
                 None => return,
                 Some((index, Piece::Here(data))) => {
                     rest.next();
+                    place.advance().await;
                     Ok(Some(Kind::Piece(wire::Piece { index, data })))
                 }
                 Some((_, Piece::NotYet)) => Ok(None),

@@ -4,6 +4,7 @@ use bytes::Bytes;
 use gatherlight_proto::WireError;
 use gatherlight_proto::message::BlobRef;
 use gatherlight_proto::pieces::{Cut, PieceList, STRIPES};
+use gatherlight_proto::serve::{Abreast, Place};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
@@ -35,6 +36,8 @@ pub(super) struct Transfer {
     state: Mutex<State>,
     /// Told whenever something changes.
     changes: watch::Sender<()>,
+    /// Those who are sent it from here.
+    streams: Abreast,
 }
 
 impl Transfer {
@@ -43,11 +46,15 @@ impl Transfer {
         // Zeroed memory is given by the system as it is written to, so a large claim costs nothing by itself.
         let buffer = vec![0; usize::try_from(blob.bytes).unwrap_or(usize::MAX)];
         let state = Mutex::new(State::Arriving { buffer, there: [0; STRIPES] });
-        Transfer { blob, list: Mutex::default(), state, changes: watch::Sender::default() }
+        Transfer { blob, list: Mutex::default(), state, changes: watch::Sender::default(), streams: Abreast::default() }
     }
     /// The payload.
     pub(super) fn blob(&self) -> BlobRef {
         self.blob
+    }
+    /// The place of a stream from piece `first` on among those that leave here.
+    pub(super) fn join(&self, first: u64) -> Place {
+        self.streams.join(first / STRIPES as u64)
     }
     fn cut(&self) -> Cut {
         Cut { bytes: self.blob.bytes }
