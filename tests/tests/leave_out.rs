@@ -95,12 +95,18 @@ fn the_plan_says_what_is_left_out_and_what_that_saves() {
         assert!(saves.wire_bytes > 0 || saves.memory_bytes > 0 || saves.work.contains("1000"), "{name}: {entry:?}");
     }
     // What is compiled for bare surfaces alone is asked of no others.
-    for scene in &scenes {
-        let job = prepare(&scene.bundle, &tiny(Method::Path));
-        let is_bare = ["diffuse only", "interior", "cameras and animations"].contains(&scene.name);
-        assert_eq!(job.scene().is_bare, is_bare, "{}", scene.name);
+    for (name, is_bare) in [
+        ("diffuse only", true),
+        // Its textures are left out.
+        ("no light", true),
+        ("mirrors only", false),
+        ("one of a hundred", false),
+        ("one small caustic", false),
+    ] {
+        let scene = scenes.iter().find(|s| s.name == name).expect("the scene");
+        assert_eq!(prepare(&scene.bundle, &tiny(Method::Path)).scene().is_bare, is_bare, "{name}");
         let all = RenderSettings { keep_all: true, ..tiny(Method::Path) };
-        assert!(!prepare(&scene.bundle, &all).scene().is_bare);
+        assert!(!prepare(&scene.bundle, &all).scene().is_bare, "{name}");
     }
     // Ninety-nine pictures of 24 × 24 texels.
     let hundred = scenes.iter().find(|s| s.name == "one of a hundred").expect("the scene");
