@@ -188,13 +188,23 @@ impl Cache {
         if bytes > limit {
             return Err(TaskError::Memory { what: what.into(), bytes, limit });
         }
-        let began = Instant::now();
-        let read = remote.fetch(&format!("the {what}"), blob, MAX_MAP_BYTES, "MAX_MAP_BYTES").await?;
-        self.count(kind, blob, began);
-        Ok(read)
+        self.fetch(kind, &format!("the {what}"), blob, (MAX_MAP_BYTES, "MAX_MAP_BYTES"), remote).await
     }
-    fn count(&mut self, kind: Collective, blob: BlobRef, began: Instant) {
-        self.fetched.record(kind, Transfer { count: 1, bytes: blob.bytes, time: began.elapsed() });
+    /// Fetches, and counts what came.
+    async fn fetch(
+        &mut self,
+        kind: Collective,
+        what: &str,
+        blob: BlobRef,
+        (limit_bytes, limit_name): (u64, &'static str),
+        remote: &Remote,
+    ) -> Result<Bytes, TaskError> {
+        let began = Instant::now();
+        let (read, is_new) = remote.fetch(what, blob, limit_bytes, limit_name).await?;
+        if is_new {
+            self.fetched.record(kind, Transfer { count: 1, bytes: blob.bytes, time: began.elapsed() });
+        }
+        Ok(read)
     }
     async fn map(&mut self, map: MapRef, remote: &Remote, executor: &Executor) -> Result<Arc<PhotonMap>, TaskError> {
         if let Some(shared) = self.shared.map(map.digest) {
@@ -207,15 +217,12 @@ impl Cache {
         Ok(Arc::new(decoded))
     }
     async fn bundle(&mut self, job: &Announced, remote: &Remote) -> Result<SceneBundle, TaskError> {
-        let scene = &job.scene;
+        const LIMIT: (u64, &str) = (MAX_BLOB_BYTES, "MAX_BLOB_BYTES");
+        let (scene, kind) = (&job.scene, Collective::BroadcastScene);
         let mut externals = Vec::with_capacity(scene.externals.len());
-        let began = Instant::now();
-        let root = remote.fetch(&scene.name, scene.root, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
-        self.count(Collective::BroadcastScene, scene.root, began);
+        let root = self.fetch(kind, &scene.name, scene.root, LIMIT, remote).await?;
         for (uri, blob) in &scene.externals {
-            let began = Instant::now();
-            let bytes = remote.fetch(uri, *blob, MAX_BLOB_BYTES, "MAX_BLOB_BYTES").await?;
-            self.count(Collective::BroadcastScene, *blob, began);
+            let bytes = self.fetch(kind, uri, *blob, LIMIT, remote).await?;
             externals.push((uri.clone(), Arc::from(&bytes[..])));
         }
         Ok(SceneBundle { name: scene.name.clone(), root: Arc::from(&root[..]), externals })

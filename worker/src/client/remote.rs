@@ -51,7 +51,7 @@ impl Remote {
         let outbound = ReceiverStream::new(messages).map(Into::into);
         Ok(self.client.join(outbound).await?.into_inner())
     }
-    /// Fetches a scene file or map, checked; `limit_bytes` is called `limit_name`.
+    /// Fetches a scene file or map, checked, and says whether it came for this; `limit_bytes` is called `limit_name`.
     ///
     /// # Errors
     /// When it does not come, or is not what its digest says.
@@ -61,7 +61,7 @@ impl Remote {
         blob: BlobRef,
         limit_bytes: u64,
         limit_name: &'static str,
-    ) -> Result<Bytes, TaskError> {
+    ) -> Result<(Bytes, bool), TaskError> {
         WireError::check_limit("fetched size in bytes", blob.bytes, limit_bytes, limit_name)?;
         let locate = async || {
             let request = LocateRequest { session: self.session.into(), digest: blob.digest.to_bytes() };
@@ -69,9 +69,11 @@ impl Remote {
             let route = self.client.clone().locate(request).await.map_err(failed)?;
             Ok(Route::try_from(route.into_inner())?)
         };
-        let bytes = self.relay.fetch(what, blob, self.source.clone(), locate()).await?;
-        self.counters.fetched_bytes.add(bytes.len() as u64);
-        Ok(bytes)
+        let (bytes, is_new) = self.relay.fetch(what, blob, self.source.clone(), locate()).await?;
+        if is_new {
+            self.counters.fetched_bytes.add(bytes.len() as u64);
+        }
+        Ok((bytes, is_new))
     }
     /// The bytes of this payload are not needed here any more.
     pub(crate) fn forget(&self, digest: Digest) {

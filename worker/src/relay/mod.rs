@@ -91,7 +91,7 @@ impl Relay {
         }
         self.told(route);
     }
-    /// The payload, from here or by its route; `locate` asks for one that was not announced.
+    /// The payload, from here or by its route, and whether it came for this; `locate` asks for one that was not announced.
     ///
     /// # Errors
     /// When it does not come.
@@ -101,7 +101,7 @@ impl Relay {
         blob: BlobRef,
         coordinator: Client,
         locate: impl Future<Output = Result<Route, TaskError>>,
-    ) -> Result<Bytes, TaskError> {
+    ) -> Result<(Bytes, bool), TaskError> {
         let failed = |reason| TaskError::Fetch { what: what.into(), reason };
         let here = self.lock().get(blob.digest);
         let transfer = match here {
@@ -122,7 +122,7 @@ impl Relay {
         };
         let bytes = transfer.whole().await.map_err(failed)?;
         self.lock().make_room();
-        Ok(bytes)
+        Ok((bytes, transfer.begin_use()))
     }
     /// From now on others may ask for what `route` leads to.
     fn told(&self, route: Route) {

@@ -5,6 +5,7 @@ use gatherlight_proto::WireError;
 use gatherlight_proto::message::BlobRef;
 use gatherlight_proto::pieces::{Cut, PieceList, STRIPES};
 use gatherlight_proto::serve::{Abreast, Place};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
@@ -38,6 +39,8 @@ pub(super) struct Transfer {
     changes: watch::Sender<()>,
     /// Those who are sent it from here.
     streams: Abreast,
+    /// Somebody here has used it.
+    is_used: AtomicBool,
 }
 
 impl Transfer {
@@ -46,11 +49,22 @@ impl Transfer {
         // Zeroed memory is given by the system as it is written to, so a large claim costs nothing by itself.
         let buffer = vec![0; usize::try_from(blob.bytes).unwrap_or(usize::MAX)];
         let state = Mutex::new(State::Arriving { buffer, there: [0; STRIPES] });
-        Transfer { blob, list: Mutex::default(), state, changes: watch::Sender::default(), streams: Abreast::default() }
+        Transfer {
+            blob,
+            list: Mutex::default(),
+            state,
+            changes: watch::Sender::default(),
+            streams: Abreast::default(),
+            is_used: AtomicBool::new(false),
+        }
     }
     /// The payload.
     pub(super) fn blob(&self) -> BlobRef {
         self.blob
+    }
+    /// Notes that it is used here; whether that is for the first time since it came.
+    pub(super) fn begin_use(&self) -> bool {
+        !self.is_used.swap(true, Ordering::Relaxed)
     }
     /// The place of a stream from piece `first` on among those that leave here.
     pub(super) fn join(&self, first: u64) -> Place {
