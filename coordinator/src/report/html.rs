@@ -22,16 +22,16 @@ pub fn page(report: &Value) -> String {
     errors(&mut out, &report["timeline"]);
     out.push_str("<h2>Time</h2>\n<table><tr><th>phase</th><th>wall time</th></tr>\n");
     for phase in list(&report["timeline"]["phases"]) {
-        row(&mut out, &text(&phase["phase"]), &seconds(&phase["time_s"]));
+        row(&mut out, &text(&phase["phase"]), &[seconds(&phase["time_s"])]);
     }
     out.push_str("</table>\n<h2>Counts</h2>\n<table>\n");
     let stats = &report["summary"]["stats"];
     for (key, value) in stats.as_object().into_iter().flatten() {
         if value.is_number() || value.is_string() {
-            row(&mut out, &key.replace('_', " "), &text(value));
+            row(&mut out, &key.replace('_', " "), &[text(value)]);
         }
     }
-    row(&mut out, "peak memory of this process (bytes)", &text(&report["peak_memory_bytes"]));
+    row(&mut out, "peak memory of this process (bytes)", &[text(&report["peak_memory_bytes"])]);
     out.push_str("</table>\n");
     if !list(&stats["transfers"]).is_empty() {
         transfers(&mut out, list(&stats["transfers"]));
@@ -41,14 +41,7 @@ pub fn page(report: &Value) -> String {
             "<h2>Photon maps</h2>\n<table><tr><th>map</th><th>emitted</th><th>stored</th><th>bytes</th></tr>\n",
         );
         for map in list(&stats["maps"]) {
-            let _ = writeln!(
-                out,
-                "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
-                escape(&text(&map["map"])),
-                text(&map["emitted_count"]),
-                text(&map["stored_count"]),
-                text(&map["bytes"])
-            );
+            row(&mut out, &text(&map["map"]), &["emitted_count", "stored_count", "bytes"].map(|key| text(&map[key])));
         }
         out.push_str("</table>\n");
     }
@@ -68,15 +61,8 @@ fn transfers(out: &mut String, transfers: &[Value]) {
     );
     for t in transfers {
         let mean = t["time_s"].as_f64().unwrap_or(0.0) / t["count"].as_f64().unwrap_or(1.0);
-        let _ = writeln!(
-            out,
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{:.2} ms</td></tr>",
-            escape(&text(&t["collective"])),
-            text(&t["count"]),
-            text(&t["bytes"]),
-            seconds(&t["time_s"]),
-            1e3 * mean
-        );
+        let values = [text(&t["count"]), text(&t["bytes"]), seconds(&t["time_s"]), format!("{:.2} ms", 1e3 * mean)];
+        row(out, &text(&t["collective"]), &values);
     }
     out.push_str("</table>\n");
 }
@@ -210,8 +196,9 @@ fn paragraphs(out: &mut String, text: &str) {
     }
 }
 
-fn row(out: &mut String, name: &str, value: &str) {
-    let _ = writeln!(out, "<tr><td>{}</td><td class=\"n\">{}</td></tr>", escape(name), escape(value));
+fn row(out: &mut String, name: &str, values: &[String]) {
+    let cells: String = values.iter().map(|v| format!("<td class=\"n\">{}</td>", escape(v))).collect();
+    let _ = writeln!(out, "<tr><td>{}</td>{cells}</tr>", escape(name));
 }
 
 fn list(value: &Value) -> &[Value] {

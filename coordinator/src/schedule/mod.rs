@@ -229,7 +229,7 @@ impl Scheduler {
             w.leases.remove(&lease);
             w.completed += 1;
         });
-        self.settle(self.now, &open, digest, out);
+        self.settle(&open, digest, out);
         let Some(job) = self.jobs.get_mut(&open.lease.job) else { return };
         let kind = job.work(open.phase).map(|w| Kind::of(w.phase));
         if let Some(kind) = kind {

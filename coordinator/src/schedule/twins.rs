@@ -80,9 +80,9 @@ impl Scheduler {
     }
 
     /// The result of one of two twins counts: the other is not wanted any more.
-    pub(super) fn settle(&mut self, now: Duration, won: &OpenLease, digest: Digest, out: &mut Vec<Command>) {
+    pub(super) fn settle(&mut self, won: &OpenLease, digest: Digest, out: &mut Vec<Command>) {
         let Some(open) = won.twin.and_then(|twin| self.leases.remove(&twin)) else { return };
-        let (worker, lease) = (open.worker, open.lease.id);
+        let (worker, lease, now) = (open.worker, open.lease.id, self.now);
         self.workers.change(worker, |w| {
             w.leases.remove(&lease);
             w.behind.insert(lease, now + now.saturating_sub(won.opened));

@@ -137,7 +137,7 @@ impl ClusterService {
             return Ok(false);
         }
         let received = match receive(&mut inbound, header.bytes).await {
-            Ok((bytes, digest)) => self.decode(&ticket, bytes, (digest, began.elapsed()), room).await,
+            Ok((bytes, digest)) => self.decode(&ticket, bytes, digest, began.elapsed(), room).await,
             Err(status) => Err(status),
         };
         match received {
@@ -156,7 +156,8 @@ impl ClusterService {
         &self,
         ticket: &Ticket,
         raw: Bytes,
-        (digest, transfer): (Digest, Duration),
+        digest: Digest,
+        transfer: Duration,
         room: Room,
     ) -> Result<Delivery, Status> {
         let ticket = ticket.clone();

@@ -5,7 +5,7 @@ use crate::driver::Source;
 use crate::store::Store;
 use bytes::Bytes;
 use gatherlight_proto::message::PassRequest;
-use gatherlight_proto::pieces::{Cut, PieceList, Pieces, STRIPES};
+use gatherlight_proto::pieces::{PieceList, Pieces};
 use gatherlight_proto::serve::{Abreast, Place};
 use gatherlight_proto::wire::passed::Kind;
 use gatherlight_proto::wire::relay_server::Relay;
@@ -14,7 +14,7 @@ use gatherlight_proto::{Digest, WireError};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use tokio::sync::OnceCell;
+use tokio::sync::{OnceCell, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
@@ -38,7 +38,7 @@ impl RelayService {
     fn join(&self, digest: Digest, first: u64) -> Place {
         let mut streams = self.streams.lock().unwrap_or_else(PoisonError::into_inner);
         streams.retain(|_, of| !of.is_idle());
-        streams.entry(digest).or_default().join(first / STRIPES as u64)
+        streams.entry(digest).or_default().join(first)
     }
 }
 
@@ -49,14 +49,17 @@ impl Relay for RelayService {
     async fn pass(&self, request: Request<wire::PassRequest>) -> Result<Response<Self::PassStream>, Status> {
         let PassRequest { digest, ticket, first, .. } = PassRequest::try_from(request.into_inner())?;
         let source = self.context.driver.pass(digest, ticket).await;
-        Ok(Response::new(match source {
+        let payload = match source {
             None => return Err(Status::not_found("no such payload, or not with this ticket")),
-            Some(Source::Memory { pieces, sent }) => in_memory(pieces, first, sent, self.join(digest, first)),
+            Some(Source::Memory { pieces, sent }) => Payload::Memory(pieces, sent),
             Some(Source::Blob(digest)) => {
                 let list = self.lists.get(&self.context.store, digest).await?;
-                stored(self.context.store.clone(), list, first, self.join(digest, first))
+                Payload::Stored(self.context.store.clone(), digest, list)
             }
-        }))
+        };
+        let (sender, receiver) = mpsc::channel(QUEUE);
+        tokio::spawn(payload.send(first, self.join(digest, first), sender));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
 }
 
@@ -68,50 +71,46 @@ fn piece(index: u64, data: Bytes) -> Passed {
     passed(Kind::Piece(wire::Piece { index, data }))
 }
 
-/// A payload in memory; `sent` is told the bytes of each piece as it goes out.
-fn in_memory(pieces: Pieces, first: u64, sent: Arc<AtomicU64>, mut place: Place) -> ReplyStream<Passed> {
-    let (sender, receiver) = tokio::sync::mpsc::channel(QUEUE);
-    tokio::spawn(async move {
-        if sender.send(Ok(passed(Kind::List(pieces.list().to_bytes())))).await.is_err() {
+/// What is handed out.
+enum Payload {
+    /// In memory; the counter is told the bytes of each piece as it goes out.
+    Memory(Pieces, Arc<AtomicU64>),
+    /// A blob of the store, read as it is sent.
+    Stored(Arc<Store>, Digest, Arc<PieceList>),
+}
+
+impl Payload {
+    fn list(&self) -> &PieceList {
+        match self {
+            Payload::Memory(pieces, _) => pieces.list(),
+            Payload::Stored(_, _, list) => list,
+        }
+    }
+    async fn piece(&self, index: u64) -> Result<Bytes, Status> {
+        let (store, digest, range) = match self {
+            Payload::Memory(pieces, _) => return Ok(pieces.piece(index)),
+            Payload::Stored(store, digest, list) => (store.clone(), *digest, list.cut().range(index)),
+        };
+        let read = move || store.read_range(digest, range.start, (range.end - range.start) as usize);
+        let read = tokio::task::spawn_blocking(read).await.map_err(|e| Status::internal(e.to_string()))?;
+        read.map_err(|e| Status::data_loss(e.to_string()))
+    }
+    /// Sends the list and the pieces of a stripe from `first` on, abreast with the other streams of the payload.
+    async fn send(self, first: u64, mut place: Place, to: mpsc::Sender<Result<Passed, Status>>) {
+        if to.send(Ok(passed(Kind::List(self.list().to_bytes())))).await.is_err() {
             return;
         }
-        for index in pieces.list().cut().from(first) {
+        for index in self.list().cut().from(first) {
             place.advance().await;
-            let data = pieces.piece(index);
-            let bytes = data.len() as u64;
-            if sender.send(Ok(piece(index, data))).await.is_err() {
-                return;
-            }
-            sent.fetch_add(bytes, Ordering::Relaxed);
-        }
-    });
-    Box::pin(ReceiverStream::new(receiver))
-}
-
-/// A blob of the store, read as it is sent.
-fn stored(store: Arc<Store>, list: Arc<PieceList>, first: u64, mut place: Place) -> ReplyStream<Passed> {
-    let (sender, receiver) = tokio::sync::mpsc::channel(QUEUE);
-    let runtime = tokio::runtime::Handle::current();
-    tokio::task::spawn_blocking(move || {
-        if sender.blocking_send(Ok(passed(Kind::List(list.to_bytes())))).is_err() {
-            return;
-        }
-        let digest = list.digest();
-        for index in list.cut().from(first) {
-            runtime.block_on(place.advance());
-            let data = read(&store, digest, list.cut(), index).map_err(|e| Status::data_loss(e.to_string()));
-            let failed = data.is_err();
-            if sender.blocking_send(data.map(|d| piece(index, d))).is_err() || failed {
-                return;
+            let data = self.piece(index).await;
+            let bytes = data.as_ref().ok().map(|d| d.len() as u64);
+            let is_sent = to.send(data.map(|d| piece(index, d))).await.is_ok();
+            let Some(bytes) = bytes.filter(|_| is_sent) else { return };
+            if let Payload::Memory(_, sent) = &self {
+                sent.fetch_add(bytes, Ordering::Relaxed);
             }
         }
-    });
-    Box::pin(ReceiverStream::new(receiver))
-}
-
-fn read(store: &Store, digest: Digest, cut: Cut, index: u64) -> std::io::Result<Bytes> {
-    let range = cut.range(index);
-    store.read_range(digest, range.start, (range.end - range.start) as usize)
+    }
 }
 
 /// Lists of stored blobs, each made once, when the blob is first asked for.

@@ -1,5 +1,6 @@
 //! Transfers.
 
+use super::micros;
 use crate::collective::{Collective, Transfer, Transfers};
 use crate::error::WireError;
 use crate::wire;
@@ -31,7 +32,7 @@ pub(super) fn transfers(transfers: &Transfers) -> Vec<wire::Transfer> {
         collective: wire::Collective::from(c).into(),
         count: t.count,
         bytes: t.bytes,
-        micros: u64::try_from(t.time.as_micros()).unwrap_or(u64::MAX),
+        micros: micros(t.time),
     };
     transfers.iter().map(one).collect()
 }

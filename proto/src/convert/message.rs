@@ -1,7 +1,7 @@
 //! Messages between coordinator and workers.
 
 use super::collective::{read_transfers, transfers};
-use super::{map_kind, name, required};
+use super::{map_kind, micros, name, required};
 use crate::collective::Transfers;
 use crate::digest::Digest;
 use crate::error::{WireError, truncated};
@@ -214,7 +214,7 @@ impl From<DeliverHeader> for wire::DeliverHeader {
             attempt: h.attempt,
             first: h.range.first,
             end: h.range.end,
-            busy_micros: u64::try_from(h.busy.as_micros()).unwrap_or(u64::MAX),
+            busy_micros: micros(h.busy),
             bytes: h.bytes,
             digest: h.digest.to_bytes(),
             fetched: transfers(&h.fetched),

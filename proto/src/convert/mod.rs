@@ -11,7 +11,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use job::millis;
+pub(crate) use job::{micros, millis};
 
 use crate::error::WireError;
 use crate::limits::MAX_NAME_BYTES;

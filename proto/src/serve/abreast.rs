@@ -4,6 +4,7 @@
 //! lacks it later: with shares of 40 and 60 % a broadcast over two trees takes a sixth longer than with equal ones. So a stream that
 //! is ahead waits for those that are a little behind, but for none that has stopped or crawls.
 
+use crate::pieces::STRIPES;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -40,11 +41,11 @@ pub struct Place {
 }
 
 impl Abreast {
-    /// A stream that begins with piece `first` of its stripe.
+    /// A stream of the stripe that piece `first` of the payload is in, from that piece on.
     pub fn join(&self, first: u64) -> Place {
         let mut streams = self.0.lock();
         let id = streams.last_key_value().map_or(0, |(id, _)| id + 1);
-        streams.insert(id, first);
+        streams.insert(id, first / STRIPES as u64);
         Place { shared: self.0.clone(), id, began: Instant::now(), waited: Duration::ZERO, is_patient: true }
     }
     /// Whether there is no stream.

@@ -292,41 +292,32 @@ async fn compute(tools: &Tools, lease: &Lease, job: &Announced) -> Result<(Bytes
     // Held while loading, so that nothing is loaded twice; not while computing.
     let mut held = cache.lock().await;
     let prepared = held.prepared(lease.job, job, remote, executor).await?;
+    let mut inputs = Inputs::default();
+    match &lease.task {
+        Task::Emission { .. } | Task::Bootstrap => {}
+        Task::Splat { bootstrap, .. } => {
+            if let Some(wanted) = *bootstrap {
+                inputs.bootstrap = Some(held.bootstrap(lease.job, wanted, &prepared, remote, executor).await?);
+            }
+        }
+        Task::Gather { maps, sample_map, .. } => {
+            inputs.maps = held.maps(lease.job, maps, remote, executor).await?;
+            if let Some(wanted) = *sample_map {
+                inputs.sample_map = Some(held.sample_map(lease.job, wanted, &prepared, remote).await?);
+            }
+        }
+    }
+    let fetched = held.take_fetched();
+    drop(held);
     let range = lease.range;
-    let (fetched, computed) = match &lease.task {
-        &Task::Emission { round, map } => {
-            let fetched = held.take_fetched();
-            drop(held);
-            (fetched, executor.run(move || emission::compute(&prepared, round, map, range)).await?)
+    let (payload, busy) = match lease.task {
+        Task::Emission { round, map } => executor.run(move || emission::compute(&prepared, round, map, range)).await?,
+        Task::Bootstrap => executor.run(move || emission::compute_bootstrap(&prepared, range)).await?,
+        Task::Splat { round, .. } => {
+            executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await??
         }
-        Task::Bootstrap => {
-            let fetched = held.take_fetched();
-            drop(held);
-            (fetched, executor.run(move || emission::compute_bootstrap(&prepared, range)).await?)
-        }
-        &Task::Splat { round, bootstrap } => {
-            let bootstrap = match bootstrap {
-                Some(wanted) => Some(held.bootstrap(lease.job, wanted, &prepared, remote, executor).await?),
-                None => None,
-            };
-            let fetched = held.take_fetched();
-            drop(held);
-            let inputs = Inputs { bootstrap, ..Inputs::default() };
-            (fetched, executor.run(move || gather::compute_splat(&prepared, &inputs, round, range)).await??)
-        }
-        Task::Gather { round, maps: wanted, sample_map } => {
-            let maps = held.maps(lease.job, wanted, remote, executor).await?;
-            let sample_map = match *sample_map {
-                Some(wanted) => Some(held.sample_map(lease.job, wanted, &prepared, remote).await?),
-                None => None,
-            };
-            let fetched = held.take_fetched();
-            drop(held);
-            let (inputs, round) = (Inputs { maps, sample_map, bootstrap: None }, *round);
-            (fetched, executor.run(move || gather::compute(&prepared, &inputs, round, range)).await?)
-        }
+        Task::Gather { round, .. } => executor.run(move || gather::compute(&prepared, &inputs, round, range)).await?,
     };
-    let (payload, busy) = computed;
     Ok((payload, busy, fetched))
 }
 

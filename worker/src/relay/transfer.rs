@@ -68,7 +68,7 @@ impl Transfer {
     }
     /// The place of a stream from piece `first` on among those that leave here.
     pub(super) fn join(&self, first: u64) -> Place {
-        self.streams.join(first / STRIPES as u64)
+        self.streams.join(first)
     }
     fn cut(&self) -> Cut {
         Cut { bytes: self.blob.bytes }
