@@ -76,6 +76,14 @@ impl Process {
         let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", self.0.id())]).status();
         assert!(sent.is_ok_and(|s| s.success()), "cannot send {name}");
     }
+    /// From now on the system gives it no more memory.
+    ///
+    /// # Panics
+    /// When that cannot be had.
+    pub fn starve(&self) {
+        let limited = Command::new("prlimit").args(["--as=1", "--pid", &self.0.id().to_string()]).status();
+        assert!(limited.is_ok_and(|s| s.success()), "cannot limit its memory");
+    }
     /// Its number.
     pub fn id(&self) -> u32 {
         self.0.id()

@@ -71,6 +71,17 @@ async fn a_worker_killed_in_gather_costs_only_its_leases() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_out_of_memory_costs_only_its_leases() {
+    let starve = |victim: Process| {
+        victim.starve();
+        assert_eq!(victim.exit_code(), None, "it is aborted by a signal");
+        None
+    };
+    let last = one_suffers(in_emission, starve).await;
+    assert!(last.stats.retried_leases > 0 && last.stats.workers_lost == 1, "{:?}", last.stats);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_frozen_worker_holds_nothing_up() {
     // The other one repeats its leases, or gets them once it is given up: whichever comes first.
     let freeze = |victim: Process| {
