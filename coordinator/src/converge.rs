@@ -28,6 +28,8 @@ pub struct Point {
     pub bias: Option<f64>,
     /// relMSE against the reference, where there is one.
     pub relative_mse: Option<f64>,
+    /// The difference from the reference in the measure of `noise` and `bias`: [`gatherlight_render::film::compare::Comparison::relative_error`].
+    pub error: Option<f64>,
 }
 
 /// The course of one method.
@@ -109,12 +111,13 @@ fn run(
     let (mut points, mut spent, mut begun) = (Vec::new(), Duration::ZERO, Instant::now());
     let done = local::run(&job, |film: &Accumulator| {
         spent += begun.elapsed();
-        let relative_mse = reference.and_then(|reference| {
+        let real = reference.and_then(|reference| {
             let pixels = film.clone().finish().rgb();
-            compare((width, height, &pixels), (width, height, reference)).ok().map(|c| c.relative_mse)
+            compare((width, height, &pixels), (width, height, reference)).ok()
         });
         let (noise, bias) = (film.noise().map(|n| n.relative), film.bias().map(|b| b.relative));
-        points.push(Point { elapsed: spent, parts: film.samples(), noise, bias, relative_mse });
+        let (relative_mse, error) = (real.as_ref().map(|c| c.relative_mse), real.map(|c| c.relative_error));
+        points.push(Point { elapsed: spent, parts: film.samples(), noise, bias, relative_mse, error });
         begun = Instant::now();
         spent < time
     });
@@ -144,6 +147,7 @@ mod tests {
             noise: None,
             bias: None,
             relative_mse: Some(2.0 / t as f64),
+            error: None,
         };
         let mut course = Course { method: Method::Path, points: [1, 4, 9].map(point).to_vec(), image: Vec::new() };
         assert!(course.slope().is_some_and(|s| (s + 1.0).abs() < 1e-12));

@@ -21,6 +21,8 @@ pub struct Calibration {
     pub stated_bias: f64,
     /// Real relative error against the reference.
     pub real_total: Option<f64>,
+    /// The same without a bound on what a pixel counts.
+    pub unbounded: Option<f64>,
 }
 
 /// One seed's image with what it says of itself.
@@ -46,11 +48,16 @@ fn render(bundle: &SceneBundle, settings: &RenderSettings) -> Image {
     Image { values: channels(&film, 0), errors: channels(&film, errors), noise, bias }
 }
 
-/// Root of the mean square of `a − b` relative to `b`, or to the mean of `b` where that is greater.
-fn relative_error(a: &[f64], b: &[f64]) -> f64 {
+/// Square of `a − b` relative to `b`, or to the mean of `b` where that is greater, of each value.
+fn relative_squares(a: &[f64], b: &[f64]) -> Vec<f64> {
     let floor = b.iter().sum::<f64>() / b.len() as f64;
-    let square = |(a, b): (&f64, &f64)| ((a - b) / b.abs().max(floor)).powi(2);
-    (a.iter().zip(b).map(square).sum::<f64>() / a.len() as f64).sqrt()
+    a.iter().zip(b).map(|(a, b)| ((a - b) / b.abs().max(floor)).powi(2)).collect()
+}
+
+/// Root of the mean of e² / (1 + e²): no value counts as more than wholly wrong.
+fn bounded_error(squares: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = squares.len() as f64;
+    (squares.map(|s| s / (1.0 + s)).sum::<f64>() / n).sqrt()
 }
 
 fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -76,10 +83,15 @@ pub fn calibrate(
         (0..count).filter(holds).count()
     };
     let mean: Vec<f64> = sum.iter().map(|s| s / n).collect();
-    let spread = |m: &Image| relative_error(&m.values, &mean) * (n / (n - 1.0)).sqrt();
+    // The mean has a share in each image, so they differ from it by less than from the truth.
+    let spread = |m: &Image| bounded_error(relative_squares(&m.values, &mean).into_iter().map(|s| s * n / (n - 1.0)));
     let stated_noise = root_mean_square(images.iter().map(|m| m.noise));
     let stated_total = root_mean_square(images.iter().map(|m| m.noise.hypot(m.bias)));
-    let real_total = reference.map(|r| root_mean_square(images.iter().map(|m| relative_error(&m.values, r))));
+    let over_seeds = |r: &[f64], error: &dyn Fn(Vec<f64>) -> f64| {
+        root_mean_square(images.iter().map(|m| error(relative_squares(&m.values, r))))
+    };
+    let real_total = reference.map(|r| over_seeds(r, &|s| bounded_error(s.into_iter())));
+    let mean_square = |s: Vec<f64>| (s.iter().sum::<f64>() / s.len() as f64).sqrt();
     Calibration {
         coverage: images.iter().map(covered).sum::<usize>() as f64 / (n * count as f64),
         noise: stated_noise / root_mean_square(images.iter().map(spread)),
@@ -87,5 +99,6 @@ pub fn calibrate(
         stated_noise,
         stated_bias: root_mean_square(images.iter().map(|m| m.bias)),
         real_total,
+        unbounded: reference.map(|r| over_seeds(r, &mean_square)),
     }
 }

@@ -69,6 +69,25 @@ fn blurred_rounds_state_their_total_error() {
     }
 }
 
+/// One set of maps for all passes: what their differences do not show, the maps' own noise and blur, is in the statement, and a few pixels that
+/// the edge or a glint of the lamp cuts do not make it.
+#[test]
+fn passes_that_share_maps_state_their_total_error() {
+    let photon = RenderSettings {
+        method: Method::Photon,
+        samples: 8,
+        photons: 25_000,
+        caustic_photons: 50_000,
+        final_gather: 2,
+        k: 50,
+        ..RenderSettings::default()
+    };
+    for name in ["cornell-caustic", "glossy-plates"] {
+        let c = calibrated(name, &photon);
+        assert!(c.total.is_some_and(|t| (0.7..=1.5).contains(&t)), "{name}: {c:?}");
+    }
+}
+
 /// Rounds of a radius that is far too large are all blur and hardly any noise: the bias is what is stated.
 #[test]
 fn a_large_radius_is_seen_as_bias() {

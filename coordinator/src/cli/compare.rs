@@ -85,9 +85,15 @@ pub(super) fn read(path: &Path) -> Result<Image, CliError> {
 fn to_text(c: &Comparison, diff: Option<&Path>) -> String {
     let bias = c.bias.map_or("none (the reference is black)".into(), |b| format!("{:+.4} %", 100.0 * b));
     let mut text = format!(
-        "relMSE          {:.4e}\ntrimmed relMSE  {:.4e}\nMSE             {:.4e}\nRMSE            {:.4e}\n\
+        "relMSE          {:.4e}\ntrimmed relMSE  {:.4e}\nrelative error  {:.2} % (as renders state theirs)\nMSE             {:.4e}\nRMSE            {:.4e}\n\
          bias            {bias}\nmean            {:.6} against {:.6}",
-        c.relative_mse, c.trimmed_relative_mse, c.mse, c.rmse, c.mean, c.reference_mean
+        c.relative_mse,
+        c.trimmed_relative_mse,
+        100.0 * c.relative_error,
+        c.mse,
+        c.rmse,
+        c.mean,
+        c.reference_mean
     );
     if c.non_finite > 0 {
         text.push_str(&format!("\nnot finite      {} values, counted as 0", c.non_finite));
@@ -104,6 +110,7 @@ fn to_json(c: &Comparison) -> Value {
     json!({
         "relative_mse": c.relative_mse,
         "trimmed_relative_mse": c.trimmed_relative_mse,
+        "relative_error": c.relative_error,
         "mse": c.mse,
         "rmse": c.rmse,
         "bias": c.bias,

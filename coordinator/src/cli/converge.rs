@@ -161,20 +161,23 @@ fn table(courses: &[Course]) -> String {
             grouped(p.parts),
             percent(p.noise),
             percent(p.bias),
+            percent(p.error),
             p.relative_mse.map_or("–".into(), |e| format!("{e:.2e}")),
             c.slope().map_or("–".into(), |s| format!("{s:.2}")),
         ])
     };
     let rows: Vec<Vec<String>> = courses.iter().filter_map(row).collect();
-    format::table(&["method", "time", "parts", "noise", "bias", "relMSE", "slope"], &rows)
+    format::table(&["method", "time", "parts", "noise", "bias", "real", "relMSE", "slope"], &rows)
 }
 
 fn csv(courses: &[Course]) -> String {
-    let mut out = String::from("method,elapsed_s,parts,relative_standard_error,relative_bias,relative_mse\n");
+    let mut out =
+        String::from("method,elapsed_s,parts,relative_standard_error,relative_bias,relative_mse,relative_error\n");
     let number = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
     for (c, p) in courses.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
-        let (noise, bias, error) = (number(p.noise), number(p.bias), number(p.relative_mse));
-        let _ = writeln!(out, "{},{},{},{noise},{bias},{error}", c.method.name(), p.elapsed.as_secs_f64(), p.parts);
+        let [noise, bias, mse, error] = [p.noise, p.bias, p.relative_mse, p.error].map(number);
+        let _ =
+            writeln!(out, "{},{},{},{noise},{bias},{mse},{error}", c.method.name(), p.elapsed.as_secs_f64(), p.parts);
     }
     out
 }
@@ -190,6 +193,7 @@ fn to_json(c: &Course) -> Value {
                 "relative_standard_error": p.noise.filter(|v| v.is_finite()),
                 "relative_bias": p.bias,
                 "relative_mse": p.relative_mse,
+                "relative_error": p.error,
             })
         })
         .collect();

@@ -4,6 +4,7 @@ mod pixels;
 mod restart;
 
 use super::light_image::Mutations;
+use super::relative::bounded;
 use super::sample_map::{Pilot, SampleMap};
 use super::standard_error;
 use super::{Bias, Blur, ChannelSet, Film, LightImage, MapError, Tile, TileError, TileGrid};
@@ -99,8 +100,9 @@ impl Brightness {
 pub struct Noise {
     /// Root of the mean over pixels and channels of the variance of the mean, in radiance.
     pub standard_error: f64,
-    /// The same with each pixel's variance divided by the square of its value, or of the image's mean where that is greater: a lamp
-    /// that is seen does not outweigh all else, and dark pixels count as they are seen. Infinite for a black image with noise.
+    /// The same with each pixel's variance relative to the square of its value, or of the image's mean where that is greater: a lamp
+    /// that is seen does not outweigh all else, and dark pixels count as they are seen. At most 1 of each pixel (`film/relative.rs`), of
+    /// a black image with noise, too.
     pub relative: f64,
 }
 
@@ -405,7 +407,8 @@ impl Accumulator {
                     // pixel that has only one is worth what those around it are.
                     let own = own * own - variance;
                     let near = median_around(|i| value(i, c), size, [x, y]);
-                    total = [total[0] + variance, total[1] + variance / own.max(near * near).max(mean * mean)];
+                    let worth = own.max(near * near).max(mean * mean);
+                    total = [total[0] + variance, total[1] + bounded(variance, worth)];
                 }
             }
             total

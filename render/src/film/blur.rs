@@ -7,6 +7,7 @@
 //! mean of that over many pixels is well known. Where the rounds' common low-discrepancy sequences matter, the halves make up for
 //! each other's errors, and the bias is understated while the noise is overstated.
 
+use super::relative::bounded;
 use serde::{Deserialize, Serialize};
 
 /// Pixels that are followed, at most: enough for the mean, and bounded memory for any image.
@@ -84,7 +85,7 @@ impl Blur {
             let square = slope(a, of_a) * slope(b, of_b) * mean_width * mean_width;
             let value = ((of_a[0] + of_b[0]) / weight).abs().max(floor);
             sums[0] += square;
-            sums[1] += if square == 0.0 { 0.0 } else { square / (value * value) };
+            sums[1] += bounded(square, value * value);
         }
         let [absolute, relative] = sums.map(|s| (s / a.values.len().max(1) as f64).max(0.0).sqrt());
         Some(Bias { absolute, relative })

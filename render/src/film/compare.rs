@@ -3,6 +3,7 @@
 //! relMSE = mean((a − r)² / (r² + 0.01)) over pixels and channels, as the literature on Monte Carlo rendering uses it
 //! (Rousselle et al. 2011, with ε = 0.01); sums are in double precision and in pixel order.
 
+use super::relative::bounded;
 use crate::error::ImageError;
 use crate::math::{Rgb, ops};
 
@@ -18,6 +19,8 @@ pub struct Comparison {
     pub relative_mse: f64,
     /// The same without the worst 0.1 % of the pixels.
     pub trimmed_relative_mse: f64,
+    /// In the measure of the error that a render states of itself: root of the mean of e²/(1 + e²), e = |a − r| / max(|r|, mean of r).
+    pub relative_error: f64,
     /// mean((a − r)²).
     pub mse: f64,
     /// √MSE.
@@ -64,6 +67,7 @@ pub fn compare(image: (usize, usize, &[Rgb]), reference: (usize, usize, &[Rgb]))
     Ok(Comparison {
         relative_mse: sums.relative / compared.len() as f64,
         trimmed_relative_mse: trimmed_mean(&mut compared),
+        relative_error: relative_error(a, r, reference_mean.abs()),
         mse: sums.squared / values,
         rmse: (sums.squared / values).sqrt(),
         bias: (reference_mean != 0.0).then(|| mean / reference_mean - 1.0),
@@ -103,6 +107,20 @@ impl Sums {
         self.relative += relative;
         Some(relative)
     }
+}
+
+/// See [`Comparison::relative_error`]; `floor` is the reference's mean, ≥ 0.
+fn relative_error(image: &[Rgb], reference: &[Rgb], floor: f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (a, r) in image.iter().zip(reference).filter(|(_, r)| r.is_finite()) {
+        for (a, r) in a.to_array().into_iter().zip(r.to_array()) {
+            let (a, r) = (if a.is_finite() { f64::from(a) } else { 0.0 }, f64::from(r));
+            let worth = r.abs().max(floor);
+            sum += bounded((a - r) * (a - r), worth * worth);
+            count += 1.0;
+        }
+    }
+    f64::sqrt(sum / count)
 }
 
 /// Mean of `errors` without the largest [`TRIMMED_SHARE`] of them; sorts them.

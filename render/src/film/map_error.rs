@@ -1,5 +1,6 @@
 //! What is known of the error that a photon map brings into an image, at some of its pixels.
 
+use super::relative::bounded;
 use serde::{Deserialize, Serialize};
 
 /// Products of independent measurements at some pixels: single ones may be negative, their mean is the mean square of an error.
@@ -14,7 +15,7 @@ pub struct MapError {
 }
 
 impl MapError {
-    /// Roots of the means of noise and bias over pixels and channels, in radiance and relative to what `scale` says of pixel and channel;
+    /// Roots of the means of noise and bias over pixels and channels, in radiance and relative, of each pixel at most 1, to what `scale` says of pixel and channel;
     /// 0 where the mean is negative: too little to be seen.
     pub(super) fn roots(&self, scale: impl Fn(usize, usize) -> f64) -> [[f64; 2]; 2] {
         [&self.noise, &self.bias].map(|squares| {
@@ -22,8 +23,7 @@ impl MapError {
             for (&pixel, square) in self.pixels.iter().zip(squares) {
                 for (c, &square) in square.iter().enumerate() {
                     let scale = scale(pixel as usize, c);
-                    let relative = if square == 0.0 { 0.0 } else { square / (scale * scale) };
-                    sums = [sums[0] + square, sums[1] + relative];
+                    sums = [sums[0] + square, sums[1] + bounded(square, scale * scale)];
                 }
             }
             sums.map(|sum| (sum / (3 * self.pixels.len()).max(1) as f64).max(0.0).sqrt())

@@ -7,6 +7,7 @@ pub mod compare;
 pub mod image;
 pub mod light_image;
 pub mod map_error;
+mod relative;
 pub mod sample_map;
 mod standard_error;
 pub mod tile;
