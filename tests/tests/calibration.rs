@@ -3,16 +3,15 @@
 
 use gatherlight_render::settings::{Method, RenderSettings};
 use gatherlight_tests::calibration::{Calibration, calibrate};
-use gatherlight_tests::references::{block_means, reference};
+use gatherlight_tests::references::reduced;
 use gatherlight_tests::scene;
 
 const SIDE: u32 = 32;
 const SEEDS: u64 = 24;
 
 fn calibrated(name: &str, settings: &RenderSettings) -> Calibration {
-    let truth: Vec<f64> =
-        block_means(&reference(name), 256 / SIDE).iter().flat_map(|p| p.to_array().map(f64::from)).collect();
-    let settings = RenderSettings { width: SIDE, height: SIDE, ..settings.clone() };
+    let (_, height, truth) = reduced(name, SIDE);
+    let settings = RenderSettings { width: SIDE, height, ..settings.clone() };
     let c = calibrate(&scene(&format!("{name}.glb")), &settings, SEEDS, Some(&truth));
     println!("{name}, {}: {c:?}", settings.method.name());
     c

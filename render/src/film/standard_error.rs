@@ -12,8 +12,8 @@ use rayon::prelude::*;
 const OFFSETS: [isize; 9] = [-8, -5, -3, -1, 0, 1, 3, 5, 8];
 /// Pixels are alike whose difference is at most so many of its standard errors: those across an edge are not. A pixel whose light is all from
 /// one sample has a standard error of its own value, however many blocks there are, so it differs by exactly one from those that have had none,
-/// and they need to know of it: just above one.
-const ALIKE: f64 = 1.1;
+/// and they need to know of it: just above one. With more, too much is taken over from brighter pixels, and more than 95 % hold.
+const ALIKE: f64 = 1.01;
 
 /// What is known of a pixel by itself, of each channel.
 #[derive(Clone, Copy, Debug)]
