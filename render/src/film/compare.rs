@@ -179,6 +179,8 @@ mod tests {
         let c = errors(&[Rgb::new(1.5, 0.0, 1.0)], &[Rgb::new(1.0, 0.0, 2.0)]);
         let expected = (0.25 / 1.01 + 1.0 / 4.01) / 3.0;
         assert!((c.relative_mse - expected).abs() < 1e-15);
+        // Relative to the mean of 1, or to more: .5, 0, .5.
+        assert!((c.relative_error - (0.4f64 / 3.0).sqrt()).abs() < 1e-15);
         assert!((c.mse - 1.25 / 3.0).abs() < 1e-15);
         assert!((c.rmse * c.rmse - c.mse).abs() < 1e-15);
         assert!((c.bias.unwrap() - (2.5 / 3.0 - 1.0)).abs() < 1e-15);
@@ -202,6 +204,8 @@ mod tests {
         let c = errors(&[Rgb::new(nan, 1.0, 1.0), Rgb::WHITE], &[Rgb::WHITE, Rgb::new(1.0, nan, 1.0)]);
         assert_eq!((c.non_finite, c.pixels), (1, 1));
         assert!((c.relative_mse - 1.0 / 1.01 / 3.0).abs() < 1e-15);
+        // Wrong by all it is worth: half.
+        assert!((c.relative_error - (0.5f64 / 3.0).sqrt()).abs() < 1e-15);
     }
 
     #[test]
