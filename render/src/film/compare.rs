@@ -96,8 +96,7 @@ impl Sums {
             return None;
         }
         let mut relative = 0.0;
-        for (a, r) in a.to_array().into_iter().zip(r.to_array()) {
-            let (a, r) = (if a.is_finite() { f64::from(a) } else { 0.0 }, f64::from(r));
+        for [a, r] in channels(a, r) {
             let squared = (a - r) * (a - r);
             self.image += a;
             self.reference += r;
@@ -109,12 +108,17 @@ impl Sums {
     }
 }
 
+/// The values of image and reference, of each channel; those of the image that are not finite count as 0.
+fn channels(a: Rgb, r: Rgb) -> [[f64; 2]; 3] {
+    let (a, r) = (a.to_array(), r.to_array());
+    [0, 1, 2].map(|c| [if a[c].is_finite() { f64::from(a[c]) } else { 0.0 }, f64::from(r[c])])
+}
+
 /// See [`Comparison::relative_error`]; `floor` is the reference's mean, ≥ 0.
 fn relative_error(image: &[Rgb], reference: &[Rgb], floor: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for (a, r) in image.iter().zip(reference).filter(|(_, r)| r.is_finite()) {
-        for (a, r) in a.to_array().into_iter().zip(r.to_array()) {
-            let (a, r) = (if a.is_finite() { f64::from(a) } else { 0.0 }, f64::from(r));
+    for (&a, &r) in image.iter().zip(reference).filter(|(_, r)| r.is_finite()) {
+        for [a, r] in channels(a, r) {
             let worth = r.abs().max(floor);
             sum += bounded((a - r) * (a - r), worth * worth);
             count += 1.0;

@@ -111,9 +111,9 @@ mod tests {
     /// the rarer ones are right to be unsure, too, so that more than 95 % hold.
     #[test]
     fn intervals_hold_where_tails_are_heavy() {
-        for (share, expected) in [(0.05, 0.93..0.97), (0.02, 0.95..0.995)] {
+        for (share, at_most_alone, expected) in [(0.05, 0.83, 0.93..0.97), (0.02, 0.8, 0.95..0.995)] {
             let (alone, together) = held(share);
-            assert!(alone < 0.83 && expected.contains(&together), "{share}: {alone} {together}");
+            assert!(alone < at_most_alone && expected.contains(&together), "{share}: {alone} {together}");
         }
     }
 
